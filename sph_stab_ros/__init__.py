@@ -1,0 +1,48 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rotation of a spherical camera from its video, and the picture with it taken out.
+
+The conventions, stated once; every module relies on them.
+
+**Image.** Equirectangular, width ``W``, height ``H = W / 2``; pixel centres are integers::
+
+    lon = (u + 0.5) / W * 2π − π        lat = π/2 − (v + 0.5) / H * π
+
+**Camera frame** (REP 103, optical): x right, y down, z forward = image centre. A *bearing* is
+the unit vector ``x = (cos lat · sin lon, −sin lat, cos lat · cos lon)``.
+
+**Rotations.** ``R_a_b`` maps b-coordinates into a, ``x_a = R_a_b x_b``, and adjacent names
+cancel: ``R_a_c = R_a_b * R_b_c``. They are ``scipy.spatial.transform.Rotation`` at every
+border; raw 3×3 matrices live only inside kernels.
+
+**World** is the stabilised frame: the camera's orientation at the first frame or at the last
+reset. The published orientation is ``R_world_camera``.
+
+**Direction of time.** A point seen at ``x`` in the previous frame is seen at ``x'`` in the
+current one; an estimator returns ``R_current_previous`` with ``x' ≈ R_current_previous x``
+for points at infinity, and the orientation accumulates as::
+
+    R_world_current = R_world_previous * R_current_previous⁻¹
+
+**Epipole.** ``t_current`` is the unit ``t`` of ``X' = R X + t``: it lies in the current frame,
+opposite to the camera's motion, and the flow points towards it.
+
+**Euler angles** of the paper: ``R = R_x(α) R_y(β) R_z(γ)``, SciPy's intrinsic ``'XYZ'``.
+Reports speak of roll, pitch and yaw of the body (REP 103: x forward, y left, z up).
+
+**View.** ``R_world_view`` from yaw (positive left), pitch (positive up) and roll (positive
+clockwise as seen); fields of view are horizontal.
+
+**Units.** Radians, seconds, integer nanoseconds; ``_rad``, ``_deg``, ``_px``, ``_ns`` in names
+where it could be doubted. Degrees appear in reports and in parameters named ``…_deg``.
+
+**Failure is a value.** An estimator that cannot tell returns ``None`` or a status, never a
+guessed identity.
+
+The method follows S. Pathak, A. Moro, H. Fujii, A. Yamashita and H. Asama, *Spherical video
+stabilization by estimating rotation from dense optical flow fields*, J. Robotics and
+Mechatronics 29(3), 2017; equation numbers in the code are the paper's.
+"""
+
+__version__ = '0.1.0'

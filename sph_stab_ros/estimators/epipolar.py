@@ -1,0 +1,115 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The rotation and epipole that make all flow run along epipolar circles (5 DoF)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.estimators.base import FitStatus, RotationEstimate, weighted_median
+from sph_stab_ros.estimators.levenberg_marquardt import levenberg_marquardt, Linearised
+
+MIN_PAIRS = 50
+# Mean cosine between the derotated flow and the direction of the epipole. Parallax p in
+# isotropic noise σ gives √(π/8) p/σ · (I0 + I1)(p²/4σ²) e^(−p²/4σ²): this is p = σ. Below,
+# the flow's directions say more about its noise than about the motion.
+MIN_ALIGNMENT = 0.55
+
+
+@dataclass(frozen=True)
+class _State:
+    """Rotation R and epipole q (3,) of Eq. 8."""
+
+    R: Rotation
+    q: np.ndarray
+
+    def moved(self, step):
+        """Return the state one step (5,) away: R turned by 3, q moved in its tangent plane by 2."""
+        q = self.q + tangent_basis(self.q) @ step[3:]
+        return _State(Rotation.from_rotvec(step[:3]) * self.R, q / np.linalg.norm(q))
+
+
+def fit_epipolar(pairs, start):
+    """
+    Return the RotationEstimate of Eq. 8 from the start of another estimator, or None.
+
+    Minimises ``Σ w Ω²`` over rotation and epipole by Levenberg–Marquardt, where Ω is the angle
+    between ``N_q = q × x`` and ``N_f = (x + f) × x`` (Eqs. 4–8). At pure rotation that has no
+    minimum, and noise leads it degrees astray: where the flow left by the start does not point
+    along its epipole (MIN_ALIGNMENT), the start is returned with the status NO_PARALLAX.
+
+    The epipole starts from the start's own or from the flow's, whichever fits better: with one
+    start alone the fit can fall into a wrong valley.
+    """
+    if len(pairs) < MIN_PAIRS:
+        return None
+    weights = pairs.weights / pairs.weights.sum()
+    R = start.R_current_previous
+    epipoles = [epipole_of_flow(pairs, R)]
+    if start.t_current is not None:
+        epipoles.append(start.t_current)
+    q = max(epipoles, key=lambda q: weights @ np.cos(flow_angles(pairs, R, q)))
+    if weights @ np.cos(flow_angles(pairs, R, q)) < MIN_ALIGNMENT:
+        return replace(start, status=FitStatus.NO_PARALLAX)
+    end = levenberg_marquardt(
+        _State(R, q), lambda state: _linearise(state, pairs, weights), _State.moved)
+    normals = np.cross(end.q, end.R.apply(pairs.previous))
+    off_plane = np.abs(np.einsum('ni,ni->n', normals, pairs.current)) \
+        / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)
+    return RotationEstimate(end.R, weighted_median(off_plane, weights), len(pairs), end.q)
+
+
+def flow_angles(pairs, R_current_previous, q):
+    """Return Ω (N,) in (−π, π]: how far the derotated flow points aside of the epipole q (3,)."""
+    x_r = R_current_previous.apply(pairs.previous)
+    return np.arctan2(*_sine_cosine(x_r, pairs.current, q))
+
+
+def epipole_of_flow(pairs, R_current_previous):
+    """
+    Return the unit epipole (3,) that a known rotation leaves to the flow.
+
+    The smallest eigenvector of ``Σ w n nᵀ``, ``n = x_r × x'`` (long where the parallax is), on
+    the side that the flow points to.
+    """
+    x_r = R_current_previous.apply(pairs.previous)
+    n = np.cross(x_r, pairs.current)
+    q = np.linalg.eigh((pairs.weights[:, None] * n).T @ n)[1][:, 0]
+    return q * (1. if pairs.weights @ (pairs.current - x_r) @ q >= 0 else -1.)
+
+
+def tangent_basis(q):
+    """Return two unit columns (3, 2) that span the tangent plane of the sphere at q (3,)."""
+    return np.linalg.svd(q[None])[2][1:].T
+
+
+def _sine_cosine(x, x_moved, q):
+    """
+    Return s, c (N,) with ``Ω = atan2(s, c)``.
+
+    N_q and N_f both lie in the tangent plane at x, so that
+    ``s = x · (N_q × N_f) = x · (q × x')`` and ``c = N_q · N_f = q·x' − (q·x)(x·x')``, x' = x + f.
+    """
+    s = np.einsum('ni,ni->n', x, np.cross(q, x_moved))
+    c = x_moved @ q - (x @ q) * np.einsum('ni,ni->n', x, x_moved)
+    return s, c
+
+
+def _linearise(state, pairs, weights):
+    """Linearise √w Ω under R ← exp(ω) R, q ← q + B s, analytically: Ω' = (c s' − s c')/(s² + c²)."""
+    x = pairs.previous @ state.R.as_matrix().T
+    x_moved = pairs.current
+    s, c = _sine_cosine(x, x_moved, state.q)
+    # dx = ω × x turns a scalar x·a into ω·(x × a); dq = B s turns q·b into s·(Bᵀ b).
+    q_dot_x, x_dot_moved = x @ state.q, np.einsum('ni,ni->n', x, x_moved)
+    ds_dR = np.cross(x, np.cross(state.q, x_moved))
+    dc_dR = -np.cross(x, x_dot_moved[:, None] * state.q + q_dot_x[:, None] * x_moved)
+    B = tangent_basis(state.q)
+    ds_dq = np.cross(x_moved, x) @ B
+    dc_dq = (x_moved - x_dot_moved[:, None] * x) @ B
+    ds, dc = np.hstack((ds_dR, ds_dq)), np.hstack((dc_dR, dc_dq))
+    J = (c[:, None] * ds - s[:, None] * dc) / np.maximum(s * s + c * c, 1e-18)[:, None]
+    omega = np.arctan2(s, c)
+    weighted = weights[:, None] * J
+    return Linearised(weighted.T @ J, weighted.T @ omega, float(weights @ omega ** 2))

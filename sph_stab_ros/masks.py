@@ -1,0 +1,56 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Which pixels to use: a robot sees its own body, which does not turn against the camera."""
+
+import cv2
+import numpy as np
+
+from sph_stab_ros.equirect import is_equirect
+
+LATITUDE_PREFIX = 'lat:'
+
+
+class MaskError(ValueError):
+    """A mask that cannot be read; the message is one line for the user."""
+
+
+def load_mask(spec, width):
+    """
+    Return the pixels to use (W/2, W) bool that ``spec`` describes, or None for all.
+
+    ``spec`` is empty (all), the path of a 2:1 image whose white pixels are used, or
+    ``lat:FROM,TO``, a band of latitudes in degrees that is *not* used.
+    """
+    if not spec:
+        return None
+    if spec.startswith(LATITUDE_PREFIX):
+        used = _outside_latitudes(spec, width)
+    else:
+        image = cv2.imread(spec, cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise MaskError(f"mask '{spec}' cannot be read as an image")
+        if not is_equirect(image.shape):
+            raise MaskError(f"mask '{spec}' is {image.shape[1]}x{image.shape[0]}, not 2:1")
+        used = cv2.resize(image, (width, width // 2), interpolation=cv2.INTER_AREA) > 127
+    if not used.any():
+        raise MaskError(f"mask '{spec}' leaves no pixel to use")
+    return used
+
+
+def antipodal(used):
+    """Return the pixels (H, W) of a mask whose antipodes belong to it too; None stays None."""
+    if used is None:
+        return None
+    return used & np.roll(used[::-1], used.shape[1] // 2, axis=1)
+
+
+def _outside_latitudes(spec, width):
+    try:
+        low_deg, high_deg = map(float, spec[len(LATITUDE_PREFIX):].split(','))
+    except ValueError:
+        raise MaskError(f"mask '{spec}' is not of the form lat:FROM,TO (degrees)") from None
+    if not -90 <= low_deg < high_deg <= 90:
+        raise MaskError(f"mask '{spec}' needs -90 <= FROM < TO <= 90")
+    lat_deg = 90 - (np.arange(width // 2) + 0.5) * (360 / width)
+    used_rows = (lat_deg < low_deg) | (lat_deg > high_deg)
+    return np.repeat(used_rows[:, None], width, axis=1)

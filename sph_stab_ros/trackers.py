@@ -1,0 +1,119 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Trackers: frames in, the camera's orientation in the world out."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.flow import has_texture
+from sph_stab_ros.image_pair import ImagePair, METHODS, Sphere
+
+NS_PER_S = 1_000_000_000
+
+
+class TrackingStatus(Enum):
+    """How much an orientation is worth."""
+
+    OK = 'ok'
+    # No rotation could be told from this frame; extrapolated from the last ones.
+    PREDICTED = 'predicted'
+    # The same for too long: the last orientation is held, and tracking starts anew from here.
+    LOST = 'lost'
+
+
+@dataclass(frozen=True)
+class TrackedOrientation:
+    """The camera's orientation, and how it was come by."""
+
+    R_world_camera: Rotation
+    status: TrackingStatus
+
+
+class Tracker(Protocol):
+    """What every tracker does."""
+
+    def track(self, grey, stamp_ns) -> TrackedOrientation:
+        """Take in the next grey sphere (H, W) uint8, return the camera's orientation."""
+
+    def reset(self):
+        """Forget everything: the next frame's orientation is the new world."""
+
+
+class ChainTracker:
+    """
+    The paper's tracker: rotations from frame to frame, accumulated.
+
+    A frame that shows nothing (black, blurred away) is bridged: the next good one is compared
+    with the last good one. Errors add up with every frame, so that the orientation drifts.
+
+    Parameters
+    ----------
+    method : str
+        A name in METHODS.
+    flow, flow_updates :
+        See ImagePair.
+    used : (H, W) bool, optional
+        Pixels to use.
+    max_prediction_s : float
+        For how long the last angular velocity is trusted.
+
+    """
+
+    def __init__(self, method='moment', flow='farneback', flow_updates=0, used=None,
+                 max_prediction_s=0.5):
+        self._estimate = METHODS[method]
+        self._flow = flow
+        self._flow_updates = flow_updates
+        self._used = used
+        self._max_prediction_s = max_prediction_s
+        self.reset()
+
+    def reset(self):
+        """Forget everything: the next frame's orientation is the new world."""
+        self._reference = None
+        self._reference_stamp_ns = None
+        self._R_world_reference = Rotation.identity()
+        self._angular_velocity_rad_s = None
+
+    def track(self, grey, stamp_ns):
+        """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
+        if not has_texture(grey):
+            return self._predicted(stamp_ns)
+        current = Sphere(grey, self._used)
+        if self._reference is None:
+            self._refer_to(current, stamp_ns, self._R_world_reference)
+            return TrackedOrientation(self._R_world_reference, TrackingStatus.OK)
+
+        pair = ImagePair(self._reference, current, self._flow, self._flow_updates)
+        estimate = self._estimate(pair)
+        if estimate is None:
+            held = self._predicted(stamp_ns)
+            if held.status is TrackingStatus.LOST:
+                self._refer_to(current, stamp_ns, held.R_world_camera)
+            return held
+        R_reference_camera = estimate.R_current_previous.inv()
+        elapsed_s = (stamp_ns - self._reference_stamp_ns) / NS_PER_S
+        self._angular_velocity_rad_s = (
+            R_reference_camera.as_rotvec() / elapsed_s if elapsed_s > 0 else None)
+        self._refer_to(current, stamp_ns, self._R_world_reference * R_reference_camera)
+        return TrackedOrientation(self._R_world_reference, TrackingStatus.OK)
+
+    def _refer_to(self, sphere, stamp_ns, R_world_reference):
+        self._reference = sphere
+        self._reference_stamp_ns = stamp_ns
+        self._R_world_reference = R_world_reference
+
+    def _predicted(self, stamp_ns):
+        """Turn the last orientation on at its angular velocity; hold it where that is too old."""
+        if self._angular_velocity_rad_s is None:
+            return TrackedOrientation(self._R_world_reference, TrackingStatus.LOST)
+        elapsed_s = (stamp_ns - self._reference_stamp_ns) / NS_PER_S
+        in_time = 0 <= elapsed_s <= self._max_prediction_s
+        trusted_s = min(max(elapsed_s, 0), self._max_prediction_s)
+        turn = Rotation.from_rotvec(self._angular_velocity_rad_s * trusted_s)
+        return TrackedOrientation(
+            self._R_world_reference * turn,
+            TrackingStatus.PREDICTED if in_time else TrackingStatus.LOST)
