@@ -56,6 +56,15 @@ class Option:
         return value
 
 
+def options(config_class, nested=True, prefix=''):
+    """Yield the Option of each field of a config dataclass, nested ones by their dotted names."""
+    for one in fields(config_class):
+        if not is_dataclass(one.default):
+            yield Option(prefix + one.name, one.default, **one.metadata)
+        elif nested:
+            yield from options(type(one.default), prefix=f'{prefix}{one.name}.')
+
+
 class Checked:
     """Base of config dataclasses: refuses values that its options do not take."""
 
@@ -74,6 +83,10 @@ class TrackerConfig(Checked):
     flow: str = option('farneback', 'Dense optical flow', choices=tuple(FLOWS))
     flow_updates: int = option(
         0, 'How often the flow is computed again on the derotated image', minimum=0, maximum=5)
+    epipolar_bound_deg: float = option(
+        30., 'Angle in degrees at which flow off its epipolar circle counts a quarter in '
+        "pts_epipolar; 180 leaves the paper's sum of squares nearly as it is",
+        minimum=1., maximum=180.)
     working_width: int = option(
         480, 'Width in pixels that images are reduced to for the estimator', minimum=128,
         maximum=3840)
@@ -108,13 +121,20 @@ class StabilizerConfig:
     view: ViewConfig = ViewConfig()
 
 
-def options(config_class, nested=True, prefix=''):
-    """Yield the Option of each field of a config dataclass, nested ones by their dotted names."""
-    for one in fields(config_class):
-        if not is_dataclass(one.default):
-            yield Option(prefix + one.name, one.default, **one.metadata)
-        elif nested:
-            yield from options(type(one.default), prefix=f'{prefix}{one.name}.')
+@dataclass(frozen=True)
+class NodeConfig(Checked, StabilizerConfig):
+    """What the ROS node needs to know besides."""
+
+    image_transport: str = option(
+        'raw', 'Subscribe to image (raw) or to image/compressed', choices=('raw', 'compressed'),
+        live=False)
+    stabilized_frame: str = option(
+        'stabilized_optical', 'frame_id of the world in which the camera turns: optical axes, '
+        "the camera's own at the first image or at the last reset", live=False)
+    view_frame: str = option(
+        'view_optical', 'frame_id of the virtual camera', live=False)
+    jpeg_quality: int = option(
+        90, 'Quality of the compressed images that are published', minimum=1, maximum=100)
 
 
 def with_option(config, name, value):
@@ -131,3 +151,7 @@ def get_option(config, name):
     for part in name.split('.'):
         config = getattr(config, part)
     return config
+
+
+# The node's parameters by name. The tracker's have no prefix, as on the command lines.
+NODE_PARAMETERS = {one.name.removeprefix('tracker.'): one for one in options(NodeConfig)}

@@ -33,7 +33,8 @@ def pixels_from_bearings(bearings, width):
     rad_to_px = width / (2 * np.pi)
     lon = np.arctan2(x, z)
     lat = np.arctan2(-y, np.hypot(x, z))
-    return np.stack(((lon + np.pi) * rad_to_px - 0.5, (np.pi / 2 - lat) * rad_to_px - 0.5), axis=-1)
+    u, v = (lon + np.pi) * rad_to_px - 0.5, (np.pi / 2 - lat) * rad_to_px - 0.5
+    return np.stack((u, v), axis=-1)
 
 
 @lru_cache(maxsize=8)

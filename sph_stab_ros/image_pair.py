@@ -9,6 +9,7 @@ import numpy as np
 
 from sph_stab_ros import matching
 from sph_stab_ros.estimators import fit_epipolar, fit_essential, fit_moment
+from sph_stab_ros.estimators.epipolar import BOUND_RAD
 from sph_stab_ros.flow import dense_pairs
 from sph_stab_ros.masks import antipodal
 
@@ -34,12 +35,18 @@ class Sphere:
 
 @dataclass(frozen=True)
 class ImagePair:
-    """Two consecutive spheres, their flow by ``flow``, recomputed ``flow_updates`` times."""
+    """
+    Two consecutive spheres.
+
+    Their flow is computed by ``flow`` and again ``flow_updates`` times on the derotated image;
+    ``epipolar_bound_rad`` is that of fit_epipolar.
+    """
 
     previous: Sphere
     current: Sphere
     flow: str = 'farneback'
     flow_updates: int = 0
+    epipolar_bound_rad: float = BOUND_RAD
 
     def pts(self):
         """Estimate from A-KAZE features: eight-point RANSAC for the essential matrix."""
@@ -68,10 +75,10 @@ class ImagePair:
             return None
         large = start.R_current_previous.magnitude() > LARGE_ROTATION_RAD
         pairs = self._flow(start.R_current_previous if large else None, self.previous.used)
-        estimate = pairs and fit_epipolar(pairs, start)
-        for _ in range(self.flow_updates):
+        estimate = pairs and fit_epipolar(pairs, start, self.epipolar_bound_rad)
+        for _ in range(self.flow_updates if estimate else 0):
             pairs = self._flow(estimate.R_current_previous, self.previous.used)
-            estimate = fit_epipolar(pairs, estimate)
+            estimate = fit_epipolar(pairs, estimate, self.epipolar_bound_rad)
         return estimate
 
     def _moment_from(self, start):

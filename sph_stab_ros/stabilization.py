@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.equirect import is_equirect
 from sph_stab_ros.frame import Frame
-from sph_stab_ros.masks import load_mask
-from sph_stab_ros.trackers import ChainTracker, NS_PER_S, TrackingStatus
+from sph_stab_ros.trackers import make_tracker, NS_PER_S, TrackingStatus
 from sph_stab_ros.warp import perspective_view, rotate_equirect, view_rotation
 
 MIN_WIDTH = 128
@@ -72,6 +71,17 @@ class Stabilizer:
         self._R_world_start = Rotation.identity()
         self._R_world_camera = Rotation.identity()
 
+    def reconfigure(self, config):
+        """
+        Take on another config.
+
+        A tracker that changes by it starts anew at the next frame, from the last orientation; the
+        motion in between is lost.
+        """
+        if config.tracker != self.config.tracker:
+            self._tracker = None
+        self.config = config
+
     def process(self, frame):
         """Return the StabilizedFrame of the next Frame, or raise FrameError."""
         check_size(frame.image)
@@ -98,12 +108,9 @@ class Stabilizer:
 
     def _start(self, frame):
         """Start a tracker for frames of this size, in the orientation reached so far."""
-        config = self.config.tracker
-        self._working_width = min(config.working_width, frame.image.shape[1])
+        self._working_width = min(self.config.tracker.working_width, frame.image.shape[1])
         self._R_world_start = self._R_world_camera
-        self._tracker = ChainTracker(
-            config.estimator, config.flow, config.flow_updates,
-            load_mask(config.mask, self._working_width), config.max_prediction_s)
+        self._tracker = make_tracker(self.config.tracker, self._working_width)
 
 
 def check_size(image):

@@ -1,45 +1,12 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Trackers: frames in, the camera's orientation in the world out."""
-
-from dataclasses import dataclass
-from enum import Enum
-from typing import Protocol
+"""The paper's tracker: a chain of rotations from frame to frame."""
 
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.flow import has_texture
 from sph_stab_ros.image_pair import ImagePair, METHODS, Sphere
-
-NS_PER_S = 1_000_000_000
-
-
-class TrackingStatus(Enum):
-    """How much an orientation is worth."""
-
-    OK = 'ok'
-    # No rotation could be told from this frame; extrapolated from the last ones.
-    PREDICTED = 'predicted'
-    # The same for too long: the last orientation is held, and tracking starts anew from here.
-    LOST = 'lost'
-
-
-@dataclass(frozen=True)
-class TrackedOrientation:
-    """The camera's orientation, and how it was come by."""
-
-    R_world_camera: Rotation
-    status: TrackingStatus
-
-
-class Tracker(Protocol):
-    """What every tracker does."""
-
-    def track(self, grey, stamp_ns) -> TrackedOrientation:
-        """Take in the next grey sphere (H, W) uint8, return the camera's orientation."""
-
-    def reset(self):
-        """Forget everything: the next frame's orientation is the new world."""
+from sph_stab_ros.trackers.base import NS_PER_S, TrackedOrientation, TrackingStatus
 
 
 class ChainTracker:
@@ -53,20 +20,18 @@ class ChainTracker:
     ----------
     method : str
         A name in METHODS.
-    flow, flow_updates :
-        See ImagePair.
     used : (H, W) bool, optional
         Pixels to use.
     max_prediction_s : float
         For how long the last angular velocity is trusted.
+    pair_options :
+        Those of ImagePair.
 
     """
 
-    def __init__(self, method='moment', flow='farneback', flow_updates=0, used=None,
-                 max_prediction_s=0.5):
+    def __init__(self, method, used=None, max_prediction_s=0.5, **pair_options):
         self._estimate = METHODS[method]
-        self._flow = flow
-        self._flow_updates = flow_updates
+        self._pair_options = pair_options
         self._used = used
         self._max_prediction_s = max_prediction_s
         self.reset()
@@ -87,8 +52,7 @@ class ChainTracker:
             self._refer_to(current, stamp_ns, self._R_world_reference)
             return TrackedOrientation(self._R_world_reference, TrackingStatus.OK)
 
-        pair = ImagePair(self._reference, current, self._flow, self._flow_updates)
-        estimate = self._estimate(pair)
+        estimate = self._estimate(ImagePair(self._reference, current, **self._pair_options))
         if estimate is None:
             held = self._predicted(stamp_ns)
             if held.status is TrackingStatus.LOST:

@@ -1,0 +1,39 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What trackers give, and what they have in common."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from scipy.spatial.transform import Rotation
+
+NS_PER_S = 1_000_000_000
+
+
+class TrackingStatus(Enum):
+    """How much an orientation is worth."""
+
+    OK = 'ok'
+    # No rotation could be told from this frame; extrapolated from the last ones.
+    PREDICTED = 'predicted'
+    # The same for too long: the last orientation is held, and tracking starts anew from here.
+    LOST = 'lost'
+
+
+@dataclass(frozen=True)
+class TrackedOrientation:
+    """The camera's orientation, and how it was come by."""
+
+    R_world_camera: Rotation
+    status: TrackingStatus
+
+
+class Tracker(Protocol):
+    """What every tracker does."""
+
+    def track(self, grey, stamp_ns) -> TrackedOrientation:
+        """Take in the next grey sphere (H, W) uint8, return the camera's orientation."""
+
+    def reset(self):
+        """Forget everything: the next frame's orientation is the new world."""
