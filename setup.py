@@ -1,0 +1,81 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'sph_stab_ros'
+
+# Wheels of ROS 2 Jazzy exist for x86-64 Linux only; elsewhere rclpy comes from the distribution.
+x86_64_linux = 'sys_platform == "linux" and platform_machine == "x86_64"'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    description='Rotational stabilisation of 360-degree video by dense optical flow',
+    author='The sph_stab_ros developers',
+    author_email='sph_stab_ros@users.noreply.github.com',
+    maintainer='The sph_stab_ros developers',
+    maintainer_email='sph_stab_ros@users.noreply.github.com',
+    license='Apache-2.0',
+    packages=find_packages(include=[package_name, package_name + '.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/config', glob('config/*.yaml')),
+        ('share/' + package_name + '/launch', glob('launch/*.launch.py')),
+    ],
+    zip_safe=True,
+    python_requires='>=3.10',
+    # Lower bounds: what Jazzy's platform, Ubuntu 24.04, ships, or the oldest that works.
+    install_requires=[
+        'backports.zstd>=1.0.0,<2; python_version < "3.14"',
+        'lz4>=4.4.0,<5',
+        'numpy>=1.26.4,<3',
+        'opencv-python-headless>=4.6.0.66,<5',
+        'rosbags>=0.11.6,<0.12',
+        'scipy>=1.11.4,<2',
+        'tqdm>=4.66.2,<5',
+    ],
+    extras_require={
+        'plots': ['matplotlib>=3.8.0,<4'],
+        'video': ['av>=15.0.0,<19'],
+        'ros': [
+            'ros-jazzy-rclpy[fastrtps]>=7.1,<8; ' + x86_64_linux,
+            'ros-jazzy-common-interfaces>=5.3,<6; ' + x86_64_linux,
+        ],
+        'test': [
+            'pytest>=7.4.4,<9',
+            # Jazzy's linters with the flake8 and plugins of its platform, for the same rules.
+            'ros-ament-flake8==0.17.*',
+            'ros-ament-pep257==0.17.*',
+            'flake8==7.0.*',
+            'flake8-blind-except==0.2.*',
+            'flake8-builtins==2.1.*',
+            'flake8-class-newline==1.6.*',
+            'flake8-comprehensions==3.14.*',
+            'flake8-deprecated==2.2.*',
+            'flake8-docstrings==1.7.*',
+            'flake8-import-order==0.18.*',
+            'flake8-quotes==3.4.*',
+            'pydocstyle==6.3.*',
+            # colcon as on Jazzy: its templates need empy 3, --symlink-install an old setuptools.
+            'colcon-core>=0.21.3,<1',
+            'colcon-python-setup-py>=0.2.9,<1',
+            'colcon-recursive-crawl>=0.2.3,<1',
+            'colcon-ros>=0.5.0,<1',
+            'empy==3.3.4',
+            'setuptools==68.*',
+            'wheel>=0.42,<1',
+        ],
+    },
+    entry_points={
+        'console_scripts': [
+            'evaluate = sph_stab_ros.evaluate:main',
+            'player = sph_stab_ros.player:main',
+            'replay = sph_stab_ros.replay:main',
+            'stabilizer = sph_stab_ros.stabilizer:main',
+        ],
+    },
+)

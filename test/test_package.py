@@ -1,0 +1,184 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The package as a whole: its metadata agree, its core needs no ROS, colcon builds what runs."""
+
+import ast
+import importlib
+import os
+from pathlib import Path
+import re
+import runpy
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from unittest import mock
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = 'sph_stab_ros'
+
+# Modules from outside of ROS: the name on the package index and rosdep's key. rosdep has no key
+# for PyAV, and what rosbags itself needs comes with rosbags.
+PYTHON_DEPENDENCIES = {
+    'av': ('av', None),
+    'backports': ('backports.zstd', None),
+    'cv2': ('opencv-python-headless', 'python3-opencv'),
+    'lz4': ('lz4', None),
+    'matplotlib': ('matplotlib', 'python3-matplotlib'),
+    'numpy': ('numpy', 'python3-numpy'),
+    'rosbags': ('rosbags', 'python3-rosbags-pip'),
+    'scipy': ('scipy', 'python3-scipy'),
+    'tqdm': ('tqdm', 'python3-tqdm'),
+}
+OPTIONAL_MODULES = {'av', 'matplotlib'}
+# The only modules, and with `ros` all modules below it, that may need ROS to be imported.
+ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in ('demo', 'player', 'ros', 'stabilizer'))
+
+
+@pytest.fixture
+def setup_arguments(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    with mock.patch('setuptools.setup') as setup:
+        runpy.run_path('setup.py')
+    return setup.call_args.kwargs
+
+
+@pytest.fixture
+def manifest():
+    return ElementTree.parse(ROOT / 'package.xml').getroot()
+
+
+def imported_modules():
+    """Return the top-level names that the package and its launch files import, however late."""
+    names = set()
+    for directory in (PACKAGE, 'launch'):
+        for path in (ROOT / directory).rglob('*.py'):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Import):
+                    names.update(alias.name.partition('.')[0] for alias in node.names)
+                elif isinstance(node, ast.ImportFrom):
+                    names.add(node.module.partition('.')[0])
+    return names - set(sys.stdlib_module_names) - {PACKAGE, 'compression'}
+
+
+def package_modules():
+    """Return the full names of all modules of the package."""
+    paths = (path.relative_to(ROOT).with_suffix('') for path in (ROOT / PACKAGE).rglob('*.py'))
+    return {'.'.join(path.parts).removesuffix('.__init__') for path in paths}
+
+
+def console_scripts(setup_arguments):
+    """Return name -> 'module:function' of the executables that setup.py declares."""
+    return dict(script.replace(' ', '').split('=')
+                for script in setup_arguments['entry_points']['console_scripts'])
+
+
+def test_manifest_and_setup_agree(setup_arguments, manifest):
+    for key in ('name', 'version', 'license'):
+        assert manifest.findtext(key) == setup_arguments[key]
+    assert manifest.find('license').get('file') == 'LICENSE'
+    assert manifest.findtext('export/build_type') == 'ament_python'
+
+
+def test_setup_requires_what_is_imported(setup_arguments):
+    extras = setup_arguments['extras_require']
+    requirements = setup_arguments['install_requires'] + extras['plots'] + extras['video']
+    required = {re.match(r'[\w.-]+', requirement).group() for requirement in requirements}
+    used = imported_modules() & PYTHON_DEPENDENCIES.keys()
+    assert required == {PYTHON_DEPENDENCIES[module][0] for module in used}
+
+
+def test_manifest_depends_on_what_is_imported(manifest):
+    depends = {element.text for element in manifest.findall('exec_depend')}
+    used = imported_modules()
+    keys = {PYTHON_DEPENDENCIES[module][1] for module in used & PYTHON_DEPENDENCIES.keys()}
+    assert depends == (keys - {None}) | (used - PYTHON_DEPENDENCIES.keys())
+
+
+def test_executables_are_importable(setup_arguments):
+    pytest.importorskip('rclpy', reason='rclpy is not installed')
+    for target in console_scripts(setup_arguments).values():
+        module, function = target.split(':')
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_core_imports_without_ros():
+    blocked = imported_modules() - PYTHON_DEPENDENCIES.keys() | {'rclpy'}
+    core = [module for module in package_modules() if not module.startswith(ROS_MODULES)]
+    code = (f'import importlib, sys; sys.modules.update(dict.fromkeys({sorted(blocked)}));'
+            f'list(map(importlib.import_module, {sorted(core)}))')
+    subprocess.run([sys.executable, '-c', code], cwd=ROOT, check=True, timeout=60)
+
+
+def test_replay_of_bags_needs_no_optional_module():
+    code = (f'import sys; sys.modules.update(dict.fromkeys({sorted(OPTIONAL_MODULES)}));'
+            f'import {PACKAGE}.replay')
+    subprocess.run([sys.executable, '-c', code], cwd=ROOT, check=True, timeout=60)
+
+
+def find_colcon():
+    """Return the path of colcon, of this very Python if it has one, or None."""
+    beside_python = Path(sys.executable).with_name('colcon')
+    return str(beside_python) if beside_python.exists() else shutil.which('colcon')
+
+
+@pytest.fixture(scope='module', params=['copied', 'symlinked'])
+def workspace(request, tmp_path_factory):
+    """Build a copy of the package with colcon and return the workspace."""
+    colcon = find_colcon()
+    if colcon is None:
+        pytest.skip('colcon is not installed')
+    directory = tmp_path_factory.mktemp(request.param)
+    shutil.copytree(ROOT, directory / 'src' / PACKAGE, ignore=shutil.ignore_patterns(
+        '.*', '*.egg-info', '__pycache__', 'bags', 'build', 'install', 'log', 'results'))
+    option = ['--symlink-install'] if request.param == 'symlinked' else []
+    built = subprocess.run([colcon, 'build', *option], cwd=directory, timeout=120, text=True,
+                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    assert built.returncode == 0, built.stdout
+    return directory
+
+
+def in_workspace(workspace, command, **options):
+    """Start a command, a string, in the sourced workspace as a user does."""
+    shell = ['sh', '-c', f'. install/local_setup.sh && exec {command}']
+    return subprocess.Popen(shell, cwd=workspace, text=True, stdout=subprocess.PIPE,
+                            stderr=subprocess.STDOUT, **options)
+
+
+def test_colcon_installs_everything(workspace, setup_arguments):
+    executables = workspace / f'install/{PACKAGE}/lib/{PACKAGE}'
+    assert {path.name for path in executables.iterdir()} == set(console_scripts(setup_arguments))
+    share = workspace / f'install/{PACKAGE}/share/{PACKAGE}'
+    for directory in ('config', 'launch'):
+        in_source = {path.name for path in (ROOT / directory).glob('*.*')}
+        assert {path.name for path in (share / directory).iterdir()} == in_source
+    command = f'{sys.executable} -c "import {PACKAGE}; print({PACKAGE}.__file__)"'
+    output, _ = in_workspace(workspace, command).communicate(timeout=60)
+    assert output.startswith(str(workspace))
+
+
+def test_colcon_installs_a_replay_that_runs(workspace):
+    process = in_workspace(workspace, f'install/{PACKAGE}/lib/{PACKAGE}/replay --help')
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, output
+    assert '--trajectory' in output
+
+
+def test_colcon_installs_a_node_that_runs(workspace):
+    pytest.importorskip('rclpy', reason='rclpy is not installed')
+    # Alone in its domain, out of the way of a robot's nodes.
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(1 + os.getpid() % 100)}
+    process = in_workspace(workspace, f'install/{PACKAGE}/lib/{PACKAGE}/stabilizer',
+                           env=environment)
+    killer = threading.Timer(60, process.kill)
+    killer.start()
+    first_line = process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate()
+    killer.cancel()
+    assert process.returncode == 0, first_line + output
+    assert '[stabilizer]' in first_line

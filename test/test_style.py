@@ -1,0 +1,54 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Jazzy's linters, with their own rules: flake8, pep257 and, where installed, the rest."""
+
+from pathlib import Path
+import shutil
+
+from ament_flake8.main import main_with_errors as flake8
+from ament_pep257.main import main as pep257
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(autouse=True)
+def in_root(monkeypatch):
+    monkeypatch.chdir(ROOT)
+
+
+def python_paths():
+    """Return what holds the project's Python; never a build tree beside it."""
+    candidates = ('setup.py', 'sph_stab_ros', 'test', 'tools', 'launch')
+    return [path for path in candidates if (ROOT / path).exists()]
+
+
+def test_flake8(capsys):
+    status, errors = flake8(argv=python_paths())
+    capsys.readouterr()
+    assert status == 0, '\n'.join(errors)
+
+
+def test_pep257(capsys, caplog):
+    caplog.set_level('WARNING', 'pydocstyle.utils')
+    status = pep257(argv=python_paths())
+    assert status == 0, capsys.readouterr().err
+
+
+def test_copyright(capsys):
+    ament_copyright = pytest.importorskip(
+        'ament_copyright.main', reason='ament_copyright comes with a ROS installation only')
+    status = ament_copyright.main(argv=[*python_paths(), 'LICENSE'])
+    assert status == 0, capsys.readouterr().err
+
+
+def test_xmllint(capsys):
+    ament_xmllint = pytest.importorskip(
+        'ament_xmllint.main', reason='ament_xmllint comes with a ROS installation only')
+    if shutil.which('xmllint') is None:
+        pytest.skip('xmllint is not installed (libxml2-utils)')
+    status = ament_xmllint.main(argv=['package.xml'])
+    errors = capsys.readouterr().err
+    if 'Failed to locate the main schema' in errors:
+        pytest.skip('the schema of package.xml cannot be reached')
+    assert status == 0, errors
