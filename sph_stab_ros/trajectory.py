@@ -45,7 +45,7 @@ class Trajectory:
         return (self.stamps_ns[0] <= stamps_ns) & (stamps_ns <= self.stamps_ns[-1])
 
     def at(self, stamps_ns):
-        """Return the orientations at stamps (M,) by slerp; ValueError outside of the covered time."""
+        """Return the orientations at stamps (M,) by slerp; ValueError outside of them."""
         stamps_ns = np.asarray(stamps_ns, np.int64)
         if not np.all(self.covers(stamps_ns)):
             raise ValueError('orientations are asked for outside of the trajectory')
@@ -61,7 +61,7 @@ class Trajectory:
 
 
 def tum_line(stamp_ns, rotation):
-    """Return ``stamp 0 0 0 qx qy qz qw`` and a newline; the stamp in seconds, to the nanosecond."""
+    """Return ``stamp 0 0 0 qx qy qz qw`` and a newline; the stamp in seconds, 9 decimals."""
     sign = '-' if stamp_ns < 0 else ''
     seconds, nanoseconds = divmod(abs(int(stamp_ns)), NS_PER_S)
     x, y, z, w = rotation.as_quat()

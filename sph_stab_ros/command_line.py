@@ -1,0 +1,65 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What the command-line tools share: one line for an error, exit 2 for a wrong call, 1 else."""
+
+import argparse
+import logging
+import signal
+import sys
+
+from sph_stab_ros.config import ConfigError, options, TrackerConfig
+from sph_stab_ros.masks import load_mask, MaskError
+from sph_stab_ros.recording import RecordingError
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that says what is wrong in one line, without the usage before it."""
+
+    def error(self, message):
+        """Exit with status 2."""
+        self.exit(2, f'{self.prog}: {message}\n')
+
+
+def add_tracker_options(parser):
+    """Add an argument for each option of TrackerConfig: ``--working-width`` and so on."""
+    group = parser.add_argument_group('estimator')
+    for option in options(TrackerConfig):
+        group.add_argument(
+            '--' + option.name.replace('_', '-'), type=type(option.default),
+            default=option.default, choices=option.choices, metavar=_metavar(option),
+            help=f'{option.help} (default: %(default)s)')
+
+
+def tracker_config(parser, args):
+    """Return the TrackerConfig of parsed arguments; a value it does not take is a wrong call."""
+    try:
+        config = TrackerConfig(**{o.name: getattr(args, o.name) for o in options(TrackerConfig)})
+        load_mask(config.mask, config.working_width)
+    except (ConfigError, MaskError) as error:
+        parser.error(str(error))
+    return config
+
+
+def _metavar(option):
+    if option.choices:
+        return '|'.join(option.choices)
+    return {int: 'N', float: 'X', str: 'TEXT'}[type(option.default)]
+
+
+def run(name, command):
+    """
+    Return the exit status of ``command()``: 0, or 1 after a line on stderr.
+
+    Warnings of the library go to stderr. SIGTERM ends the command as Ctrl-C does.
+    """
+    logging.basicConfig(format=f'{name}: %(message)s', level=logging.WARNING, stream=sys.stderr)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        command()
+    except RecordingError as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f'{name}: interrupted', file=sys.stderr)
+        return 1
+    return 0

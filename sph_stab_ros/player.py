@@ -1,0 +1,242 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Publish a recording on ROS topics, in its own time or faster.
+
+Images go out on ``image``, or ``image/compressed`` if they are compressed in the recording;
+remap them with ``--ros-args -r image:=/camera/image``. Ends with status 0 on SIGINT and SIGTERM.
+"""
+
+from array import array
+from dataclasses import is_dataclass
+from heapq import merge
+from importlib import import_module
+from pathlib import Path
+import sys
+import time
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as rclpy_binding
+from rclpy.qos import QoSProfile
+from rclpy.time import Time
+from rclpy.utilities import remove_ros_args
+
+from sensor_msgs.msg import CompressedImage, Image
+
+from sph_stab_ros.command_line import Parser
+from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording.images import fill_compressed, fill_image
+from sph_stab_ros.trajectory import NS_PER_S
+
+RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
+# Reliable, as subscribers of either kind can receive that.
+QOS = QoSProfile(depth=10)
+# The frame of videos, which name none.
+CAMERA_FRAME = 'camera'
+# A subscriber that we know of may take this long to know of us.
+MATCHING_S = 0.5
+# From the last message of one loop to the first of the next.
+LOOP_PAUSE_NS = NS_PER_S // 10
+# A subscriber that is gone must not hold up the end.
+LAST_DELIVERY_S = 2.0
+
+
+class Player:
+    """
+    Publishes a Recording.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    recording : Recording
+    topics : iterable of str
+        What to publish beside the images, under the same names.
+    compress : bool
+        Whether to publish images as JPEG that are not compressed in the recording.
+
+    """
+
+    def __init__(self, node, recording, topics=(), compress=False):
+        self._node = node
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        if recording.image_topic and not (compress and is_raw(recording)):
+            images_type = message_type(recording.topics[recording.image_topic])
+            self._sources = [lambda: recorded_messages(recording, recording.image_topic)]
+        else:
+            images_type = CompressedImage if compress else Image
+            self._sources = [lambda: frame_messages(recording, images_type)]
+        self.images = node.create_publisher(
+            images_type, 'image' if images_type is Image else 'image/compressed', QOS)
+        self._publishers = [self.images]
+        for topic in topics:
+            self._sources.append(lambda topic=topic: recorded_messages(recording, topic))
+            self._publishers.append(node.create_publisher(
+                message_type(recording.topics[topic]), topic, QOS))
+
+    def wait_for_subscriber(self):
+        """Return when somebody listens to the images."""
+        while not self.images.get_subscription_count():
+            self._spin_for(0.05)
+        self._spin_for(MATCHING_S)
+
+    def play(self, rate=1., loop=False, now=False):
+        """
+        Publish everything at its time, ``rate`` times as fast.
+
+        Header stamps stay as recorded, and go on increasing from one loop to the next; with
+        ``now`` they are counted from the start of playing instead of that of the recording.
+        """
+        start_s = time.monotonic()
+        start_ns = self._node.get_clock().now().nanoseconds
+        loop_start_ns = 0
+        while True:
+            first_ns = last_ns = None
+            for time_ns, publisher, msg in self._timeline():
+                if first_ns is None:
+                    first_ns = time_ns
+                elapsed_ns = loop_start_ns + time_ns - first_ns
+                self._spin_for(start_s + elapsed_ns / rate / NS_PER_S - time.monotonic())
+                if now:
+                    restamp(msg, lambda ns: start_ns + round(
+                        ((ns or time_ns) - first_ns + loop_start_ns) / rate))
+                elif loop_start_ns:
+                    # A stamp of zero means unknown and stays that.
+                    restamp(msg, lambda ns: ns and ns + loop_start_ns)
+                publisher.publish(msg)
+                last_ns = time_ns
+            if not loop or last_ns is None:
+                break
+            loop_start_ns += last_ns - first_ns + LOOP_PAUSE_NS
+        for publisher in self._publishers:
+            publisher.wait_for_all_acked(Duration(seconds=LAST_DELIVERY_S))
+
+    def _timeline(self):
+        """Yield (time in ns, publisher, message) of all topics in the order of time."""
+        def published_by(publisher, source):
+            return ((time_ns, publisher, msg) for time_ns, msg in source())
+        yield from merge(*map(published_by, self._publishers, self._sources),
+                         key=lambda item: item[0])
+
+    def _spin_for(self, seconds):
+        """Serve the node for so long; ExternalShutdownException when ROS ends."""
+        end_s = time.monotonic() + seconds
+        while (left_s := end_s - time.monotonic()) > 0:
+            self._executor.spin_once(timeout_sec=left_s)
+
+
+def is_raw(recording):
+    """Tell whether a bag's images are uncompressed."""
+    return recording.topics[recording.image_topic].endswith('/Image')
+
+
+def recorded_messages(recording, topic):
+    """Yield (time of receipt in ns, rclpy message) of a bag's topic, faulty images included."""
+    message = message_type(recording.topics[topic])
+    for received_ns, recorded in recording.messages(topic):
+        yield received_ns, copy_fields(recorded, message())
+
+
+def frame_messages(recording, images_type):
+    """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
+    for frame in recording.frames():
+        fill = fill_image if images_type is Image else fill_compressed
+        msg = fill(images_type(), frame.image)
+        msg.header.stamp = Time(nanoseconds=frame.stamp_ns).to_msg()
+        msg.header.frame_id = frame.frame_id or CAMERA_FRAME
+        yield frame.stamp_ns, msg
+
+
+def message_type(name):
+    """Return the class of, for example, ``sensor_msgs/msg/Image``."""
+    package, _, message = name.split('/')
+    try:
+        return getattr(import_module(f'{package}.msg'), message)
+    except (ImportError, AttributeError):
+        raise RecordingError(f'{name} is not installed') from None
+
+
+def copy_fields(source, target):
+    """Fill a fresh rclpy message from one of the bag reader, and return it."""
+    for name in target.get_fields_and_field_types():
+        value = getattr(source, name)
+        if is_dataclass(value):
+            copy_fields(value, getattr(target, name))
+        elif isinstance(getattr(target, name), array):
+            # Assigning checks each element, which takes seconds for an image.
+            getattr(target, name).frombytes(value.tobytes())
+        else:
+            setattr(target, name, value)
+    return target
+
+
+def restamp(msg, new_ns):
+    """Replace the header's stamp, where there is one, by ``new_ns(stamp in ns)``."""
+    if hasattr(msg, 'header'):
+        old_ns = Time.from_msg(msg.header.stamp).nanoseconds
+        msg.header.stamp = Time(nanoseconds=new_ns(old_ns)).to_msg()
+
+
+def arguments(argv):
+    """Return the parsed command line; exit 2 on a wrong call."""
+    parser = Parser(prog='player', description='Publish a recording on ROS topics.')
+    parser.add_argument('recording', metavar='REC', type=Path,
+                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    parser.add_argument('--rate', type=float, default=1., metavar='X',
+                        help='how many times as fast as recorded (default: %(default)s)')
+    parser.add_argument('--loop', action='store_true', help='start again at the end')
+    parser.add_argument('--now', action='store_true',
+                        help='stamp with the current time, as videos always are')
+    parser.add_argument('--wait', action='store_true',
+                        help='start when somebody listens to the images')
+    parser.add_argument('--compressed', action='store_true',
+                        help='publish JPEG on image/compressed also where images are raw')
+    parser.add_argument('--image-topic', metavar='TOPIC',
+                        help='where the images are in a bag with several image topics')
+    parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
+                        help='further topics of the bag to publish')
+    args = parser.parse_args(argv)
+    if not args.rate > 0:
+        parser.error('--rate must be positive')
+    return args
+
+
+def main(argv=None):
+    """Run the command line; return the exit status."""
+    argv = sys.argv if argv is None else ['player', *argv]
+    try:
+        args = arguments(remove_ros_args(argv)[1:])
+        rclpy.init(args=argv)
+    except (RCLError, UnknownROSArgsError) as error:
+        print(f'player: {str(error).splitlines()[0]}', file=sys.stderr)
+        return 2
+    try:
+        recording = open_recording(args.recording, args.image_topic)
+        for topic in args.topics:
+            if topic not in recording.topics:
+                raise RecordingError(f'{args.recording} has no topic {topic}')
+        node = rclpy.create_node('player')
+        player = Player(node, recording, args.topics, args.compressed)
+        if args.wait:
+            player.wait_for_subscriber()
+        # The times of a video are no clock's, and begin with zero, which means unknown to ROS.
+        player.play(args.rate, args.loop, args.now or recording.image_topic is None)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except RCLError as error:
+        # Publishing while ROS ends is no failure.
+        if rclpy.ok():
+            print(f'player: {error}', file=sys.stderr)
+            return 1
+    except RecordingError as error:
+        print(f'player: {error}', file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,42 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings in and out: rosbags of either generation, and video files, without ROS."""
+
+from pathlib import Path
+
+from sph_stab_ros.recording.base import Recording, RecordingError
+
+__all__ = ['open_recording', 'Recording', 'RecordingError']
+
+BAG_SUFFIXES = ('.bag', '.mcap', '.db3')
+
+
+def is_bag(path):
+    """Tell whether ``path`` names a bag: a folder or no suffix, ``.bag``, ``.mcap``, ``.db3``."""
+    path = Path(path)
+    return path.is_dir() or path.suffix in ('', *BAG_SUFFIXES)
+
+
+def open_recording(path, image_topic=None):
+    """
+    Return the Recording at ``path``.
+
+    Parameters
+    ----------
+    path : Path or str
+        A rosbag2 folder, ``.mcap`` or ``.db3`` file, a ROS 1 ``.bag``, or else a video file.
+    image_topic : str, optional
+        Where to find the images in a bag that has several image topics.
+
+    """
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError(f'{path} does not exist')
+    # Either library is imported only for its own kind of file.
+    if is_bag(path):
+        from sph_stab_ros.recording.bag import BagRecording
+        return BagRecording(path, image_topic)
+    if image_topic is not None:
+        raise RecordingError(f'{path} is not a bag and has no topic {image_topic}')
+    from sph_stab_ros.recording.video import VideoRecording
+    return VideoRecording(path)

@@ -1,0 +1,53 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What all recordings have in common."""
+
+from collections import Counter
+import logging
+from typing import Any, Iterator, Protocol
+
+from sph_stab_ros.frame import Frame
+
+logger = logging.getLogger(__name__)
+
+
+class RecordingError(Exception):
+    """A recording that cannot be read or written, said in one line."""
+
+
+class Recording(Protocol):
+    """
+    A recorded spherical video, read front to back with constant memory.
+
+    ``name`` tells it from others; ``topics`` maps topics to message types (none in a video) and
+    ``image_topic`` is where the images come from (None in a video);
+    ``frame_count`` is what the file claims, to be taken as an estimate, or None; ``skipped``
+    counts the pictures left out by ``frames()``, by reason.
+    """
+
+    name: str
+    topics: dict[str, str]
+    image_topic: str | None
+    frame_count: int | None
+    skipped: Counter
+
+    def frames(self) -> Iterator[Frame]:
+        """Yield the whole 2:1 pictures in the recording's order, whatever their stamps."""
+
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Yield the time of receipt in ns and the message, for each message of a topic."""
+
+
+class SkipLog:
+    """Count what is left out, by reason, and name the first of each reason in the log."""
+
+    def __init__(self, name):
+        self.name = name
+        self.counts = Counter()
+
+    def add(self, reason, detail):
+        """Count one; ``detail`` is logged if it is the first for this reason."""
+        self.counts[reason] += 1
+        if self.counts[reason] == 1:
+            logger.warning('%s: picture left out, %s (more of these are only counted)',
+                           self.name, detail)

@@ -1,0 +1,48 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Outputs that are either complete or clearly marked.
+
+Each is written in a folder beside its destination, named after it with ``.partial`` behind, and
+moved out of it when it is whole.
+"""
+
+from contextlib import contextmanager
+import logging
+from pathlib import Path
+import shutil
+
+from sph_stab_ros.recording.base import RecordingError
+
+logger = logging.getLogger(__name__)
+
+
+@contextmanager
+def partial_output(path, force=False):
+    """
+    Give a path to write a file or folder to, which becomes ``path`` when the block ends well.
+
+    An error removes what was written; KeyboardInterrupt leaves it in its ``.partial`` folder for
+    whoever had to stop a long run. RecordingError if ``path`` exists and not ``force``, or where
+    it cannot be written; what ``path`` held before stays until the new output is whole.
+    """
+    path = Path(path)
+    if path.exists() and not force:
+        raise RecordingError(f'{path} exists already; --force replaces it')
+    folder = path.with_name(f'{path.name}.partial')
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        yield folder / path.name
+        if path.is_dir():
+            path.rename(folder / 'replaced')
+        (folder / path.name).replace(path)
+    except KeyboardInterrupt:
+        logger.warning('what was written until then is in %s', folder)
+        raise
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, OSError):
+            raise RecordingError(f'{path} cannot be written: {error.strerror or error}') from error
+        raise
+    shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,144 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures out of video files, through PyAV."""
+
+from fractions import Fraction
+import logging
+
+import numpy as np
+
+from sph_stab_ros.frame import Frame
+from sph_stab_ros.recording.base import RecordingError, SkipLog
+from sph_stab_ros.recording.images import ImageError, require_equirect
+from sph_stab_ros.recording.tilt import tilt_removed_in_camera
+from sph_stab_ros.trajectory import NS_PER_S
+
+try:
+    import av
+except ImportError:
+    raise RecordingError("video files need PyAV: pip install 'sph_stab_ros[video]'") from None
+
+logger = logging.getLogger(__name__)
+
+# Containers round their durations, and sound may end after the pictures.
+MISSING_END_S = 0.5
+
+
+class VideoRecording:
+    """
+    A video file.
+
+    Pictures come with square pixels and upright, as the container's pixel aspect and rotation
+    say, and with the container's times, which need not be regular.
+    """
+
+    topics = {}
+    image_topic = None
+
+    def __init__(self, path):
+        self.path = path
+        self.name = path.name
+        self._skip_log = SkipLog(self.name)
+        with self._open() as container:
+            stream = container.streams.video[0]
+            self.duration_s = _duration_s(container, stream)
+            self.frame_count = stream.frames or None
+            if self.duration_s and stream.average_rate:
+                # Some containers count fields, or frames that an edit list hides.
+                self.frame_count = round(self.duration_s * stream.average_rate)
+        if tilt_removed_in_camera(path):
+            logger.warning(
+                '%s: its metadata say that the camera removed the tilt already (zenith '
+                'correction): what is found is the rotation that is left in the pictures, not '
+                "the camera's", self.name)
+
+    @property
+    def skipped(self):
+        """Count the pictures left out so far, by reason."""
+        return self._skip_log.counts
+
+    def messages(self, topic):
+        """Raise RecordingError: a video has no topics."""
+        raise RecordingError(f'{self.path} is not a bag and has no topic {topic}')
+
+    def frames(self):
+        """Yield the Frames as they are decoded."""
+        self._skip_log = SkipLog(self.name)
+        count, end_s, cut = 0, 0., False
+        with self._open() as container:
+            stream = container.streams.video[0]
+            stream.thread_type = 'AUTO'
+            try:
+                for packet in container.demux(stream):
+                    if packet.is_corrupt:
+                        cut = True
+                        continue
+                    for picture in self._decoded(packet):
+                        end_s = float(picture.pts * picture.time_base)
+                        try:
+                            yield _frame(picture, stream.sample_aspect_ratio)
+                        except ImageError as error:
+                            self._skip_log.add(error.reason, error)
+                        count += 1
+            except av.FFmpegError as error:
+                logger.debug('%s: %r', self.name, error)
+                cut = True
+        if cut or (self.duration_s or 0.) - end_s > MISSING_END_S:
+            logger.warning('%s is truncated or damaged: %d pictures were read, up to %.3f s%s',
+                           self.name, count, end_s,
+                           f' of {self.duration_s:.3f} s' if self.duration_s else '')
+
+    def _decoded(self, packet):
+        """Return the whole pictures that a packet completes."""
+        try:
+            pictures = packet.decode()
+        except av.FFmpegError as error:
+            self._skip_log.add('undecodable', f'undecodable: {error}')
+            return []
+        broken = [p for p in pictures if p.is_corrupt or p.pts is None]
+        for picture in broken:
+            self._skip_log.add('undecodable', f'undecodable picture at {picture.time} s')
+        return [p for p in pictures if p not in broken]
+
+    def _open(self):
+        try:
+            container = av.open(str(self.path), metadata_errors='replace')
+        except OSError as error:
+            raise RecordingError(f'{self.path} cannot be read: {error.strerror}') from None
+        except av.FFmpegError as error:
+            raise RecordingError(
+                f'{self.path} is not a readable video: {error.strerror}') from None
+        if not container.streams.video:
+            container.close()
+            raise RecordingError(f'{self.path} has no video stream')
+        return container
+
+
+def _frame(picture, pixel_aspect):
+    """Return the Frame of a decoded picture; ImageError where it is not 2:1."""
+    width, height = square_pixel_size(picture.width, picture.height, pixel_aspect)
+    image = picture.to_ndarray(format='bgr24', width=width, height=height)
+    if picture.rotation:
+        image = np.ascontiguousarray(np.rot90(image, round(picture.rotation / 90)))
+    stamp_ns = round(Fraction(picture.pts) * picture.time_base * NS_PER_S)
+    return Frame(require_equirect(image), stamp_ns)
+
+
+def square_pixel_size(width, height, pixel_aspect):
+    """
+    Return the largest (width, height) with square pixels that invents none.
+
+    ``pixel_aspect`` is a pixel's width divided by its height, or 0 or None where unknown.
+    """
+    if not pixel_aspect or pixel_aspect == 1:
+        return width, height
+    if pixel_aspect > 1:
+        return width, round(height / pixel_aspect)
+    return round(width * pixel_aspect), height
+
+
+def _duration_s(container, stream):
+    """Return how long the container says the pictures last, or None."""
+    if stream.duration:
+        return float(stream.duration * stream.time_base)
+    return container.duration / av.time_base if container.duration else None

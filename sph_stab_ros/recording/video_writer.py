@@ -1,0 +1,76 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures into an MP4 file, through PyAV."""
+
+from fractions import Fraction
+import logging
+
+import cv2
+
+from sph_stab_ros.recording.base import RecordingError
+from sph_stab_ros.recording.video import av
+from sph_stab_ros.trajectory import NS_PER_S
+
+logger = logging.getLogger(__name__)
+
+TIME_BASE = Fraction(1, 90000)
+# Only a hint for the encoder; each picture has its own time.
+NOMINAL_RATE = 30
+# Visually lossless at the smallest cost in time.
+ENCODER_OPTIONS = {'crf': '20', 'preset': 'veryfast'}
+
+
+class VideoWriter:
+    """
+    An MP4 file (H.264), written picture by picture; a context manager.
+
+    The times of the pictures are those given, counted from the first. All pictures are of the
+    first one's size; an odd row or column is doubled, as H.264 needs even sizes.
+    """
+
+    def __init__(self, path):
+        self.path = path
+
+    def __enter__(self):
+        self._container = av.open(str(self.path), 'w')
+        self._stream = None
+        return self
+
+    def __exit__(self, *_):
+        # Also after an error, so that what there is can be read.
+        try:
+            if self._stream is not None:
+                self._container.mux(self._stream.encode())
+        finally:
+            self._container.close()
+
+    def write(self, image, stamp_ns):
+        """
+        Write an image (H, W, 3) BGR or (H, W) grey.
+
+        A picture that is not later than the one before is put right behind it.
+        """
+        height, width = image.shape[:2]
+        image = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+        if self._stream is None:
+            self._start(image, stamp_ns)
+        elif image.shape[:2] != (self._stream.height, self._stream.width):
+            image = cv2.resize(image, (self._stream.width, self._stream.height))
+        picture = av.VideoFrame.from_ndarray(image, format='gray' if image.ndim == 2 else 'bgr24')
+        picture.pts = max(self._last_pts + 1,
+                          round(Fraction(stamp_ns - self._first_ns, NS_PER_S) / TIME_BASE))
+        picture.time_base = TIME_BASE
+        self._last_pts = picture.pts
+        self._container.mux(self._stream.encode(picture))
+
+    def _start(self, image, stamp_ns):
+        try:
+            self._stream = self._container.add_stream(
+                'libx264', rate=NOMINAL_RATE, options=ENCODER_OPTIONS)
+        except ValueError as error:
+            raise RecordingError(f'{self.path} needs PyAV with libx264: {error}') from None
+        self._stream.height, self._stream.width = image.shape[:2]
+        self._stream.pix_fmt = 'yuv420p'
+        self._stream.time_base = self._stream.codec_context.time_base = TIME_BASE
+        self._first_ns = stamp_ns
+        self._last_pts = -1

@@ -1,0 +1,233 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
+
+from collections import Counter
+from contextlib import closing, ExitStack
+from dataclasses import dataclass, field
+from itertools import islice
+import logging
+from pathlib import Path
+import sys
+import time
+
+import numpy as np
+
+from sph_stab_ros.command_line import add_tracker_options, Parser, run, tracker_config
+from sph_stab_ros.config import NodeConfig, ViewConfig
+from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.side_by_side import side_by_side
+from sph_stab_ros.stabilization import FrameError, Stabilizer, view_direction
+from sph_stab_ros.trajectory import tum_line
+
+from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass
+class Summary:
+    """What happened in a replay."""
+
+    frames: int = 0
+    statuses: Counter = field(default_factory=Counter)
+    notices: Counter = field(default_factory=Counter)
+    left_out: Counter = field(default_factory=Counter)
+    turned_rad: float = 0.
+    R_world_camera: object = None
+
+    def add(self, stabilized):
+        """Count a StabilizedFrame; name the first notice of each kind in the log."""
+        self.frames += 1
+        self.statuses[stabilized.status.value] += 1
+        for notice in stabilized.notices:
+            self.notices[notice.value] += 1
+            if self.notices[notice.value] == 1:
+                logger.warning('picture %d at %.3f s: %s (more of these are only counted)',
+                               self.frames, stabilized.stamp_ns / 1e9, notice.value)
+        if self.R_world_camera is not None:
+            self.turned_rad += (self.R_world_camera.inv() * stabilized.R_world_camera).magnitude()
+        self.R_world_camera = stabilized.R_world_camera
+
+
+def replay(recording, stabilizer, sinks=(), max_frames=None, progress=iter):
+    """
+    Stabilise a Recording frame by frame and return the Summary.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its frames are read to the end or to ``max_frames``.
+    stabilizer : Stabilizer
+        Fresh, or in the orientation to go on from.
+    sinks : iterable of callable
+        Each is called with each StabilizedFrame.
+    max_frames : int, optional
+        How many pictures to read; all by default.
+    progress : callable
+        Passes on the iterator of frames that it is given, and may tell of it.
+
+    Raises
+    ------
+    RecordingError
+        Where not one picture can be used.
+
+    """
+    summary = Summary()
+    with closing(recording.frames()) as frames:
+        for frame in progress(islice(frames, max_frames)):
+            try:
+                stabilized = stabilizer.process(frame)
+            except FrameError as error:
+                summary.left_out['unusable'] += 1
+                if summary.left_out['unusable'] == 1:
+                    logger.warning('%s: picture left out, %s (more of these are only counted)',
+                                   recording.name, error)
+                continue
+            summary.add(stabilized)
+            for sink in sinks:
+                sink(stabilized)
+    summary.left_out += recording.skipped
+    if not summary.frames:
+        reasons = ', '.join(f'{reason}: {n}' for reason, n in summary.left_out.items())
+        raise RecordingError(
+            f'{recording.name} has no usable picture ({reasons or "none at all"})')
+    return summary
+
+
+def trajectory_sink(path, force, stack):
+    """Return a sink that writes ``R_world_camera`` into a TUM file."""
+    file = stack.enter_context(open(stack.enter_context(partial_output(path, force)), 'w'))
+    return lambda s: file.write(tum_line(s.stamp_ns, s.R_world_camera))
+
+
+def video_sink(path, force, stack, picture):
+    """Return a sink that writes ``picture(stabilized)`` into an MP4 file."""
+    from sph_stab_ros.recording.video_writer import VideoWriter
+    writer = stack.enter_context(VideoWriter(stack.enter_context(partial_output(path, force))))
+    return lambda s: writer.write(picture(s), s.stamp_ns)
+
+
+def bag_sink(path, force, stack, config):
+    """Return a sink that writes what the node publishes into a rosbag2 folder."""
+    from sph_stab_ros.recording.bag_writer import BagWriter
+    writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
+    world, view = config.stabilized_frame, config.view_frame
+    R_world_view, hfov_rad, size_wh = view_geometry(config.view)
+
+    def write(s):
+        stamp_ns = s.stamp_ns
+        writer.write_orientation('orientation', stamp_ns, world, s.R_world_camera)
+        writer.write_jpeg('stabilized/image/compressed', stamp_ns, world, s.sphere())
+        writer.write_jpeg('view/image/compressed', stamp_ns, view,
+                          s.view(R_world_view, hfov_rad, size_wh))
+        writer.write_camera_info('view/camera_info', stamp_ns, view, hfov_rad, size_wh)
+    return write
+
+
+def output_sink(args, config, stack):
+    """Return the sink for OUT."""
+    if args.out.suffix != '.mp4':
+        return bag_sink(args.out, args.force, stack, config)
+    R_world_view, hfov_rad, size_wh = view_geometry(config.view)
+
+    def picture(s):
+        if args.side_by_side:
+            return side_by_side(s, R_world_view, hfov_rad)
+        return s.view(R_world_view, hfov_rad, size_wh) if args.view else s.sphere()
+    return video_sink(args.out, args.force, stack, picture)
+
+
+def view_geometry(view):
+    """Return R_world_view, the field of view in radians and the size (w, h) of a ViewConfig."""
+    return view_direction(view), np.deg2rad(view.hfov_deg), (view.width, view.height)
+
+
+def report(summary, config, elapsed_s):
+    """Return the lines that tell of a replay; the drift of a chain is named."""
+    tracker = config.tracker
+    counts = ', '.join(f'{n} {status}' for status, n in summary.statuses.items())
+    yield (f'{summary.frames} frames in {elapsed_s:.1f} s '
+           f'({summary.frames / elapsed_s:.1f} frames/s): {counts}')
+    for counted in (summary.notices, summary.left_out):
+        for what, n in counted.items():
+            yield f'{n}x {what}'
+    flow = '' if tracker.estimator == 'pts' else f' ({tracker.flow} flow)'
+    yield (f'orientation chained over {summary.frames - 1} steps by {tracker.estimator}{flow}, '
+           f'{np.rad2deg(summary.turned_rad):.0f} deg of turning in all, '
+           f'{np.rad2deg(summary.R_world_camera.magnitude()):.1f} deg from the first frame to the '
+           'last: the errors of all steps add up, so a slow drift is part of it')
+
+
+def view_argument(text):
+    """Return the ViewConfig of ``yaw,pitch,roll,hfov`` in degrees."""
+    names = ('yaw_deg', 'pitch_deg', 'roll_deg', 'hfov_deg')
+    values = [float(value) for value in text.split(',')]
+    return ViewConfig(**dict(zip(names, values, strict=True)))
+
+
+def arguments(argv):
+    """Return the parsed command line and the TrackerConfig; exit 2 on a wrong call."""
+    parser = Parser(prog='replay', description=__doc__)
+    parser.add_argument('recording', metavar='IN', type=Path,
+                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
+                        help='rosbag2 folder or .mp4; nothing is warped without it')
+    parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
+                        help='write "stamp 0 0 0 qx qy qz qw" of each picture')
+    parser.add_argument('--image-topic', metavar='TOPIC',
+                        help='where the images are in a bag with several image topics')
+    parser.add_argument('--max-frames', metavar='N', type=int, help='stop after N pictures')
+    parser.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', type=view_argument,
+                        help='perspective view in degrees; an .mp4 shows it instead of the '
+                        'sphere (--view=-30,0,0,90: with = before a minus)')
+    parser.add_argument('--side-by-side', action='store_true',
+                        help='an .mp4 of sphere, front and back view, recorded and stabilised')
+    parser.add_argument('--force', action='store_true', help='replace existing outputs')
+    add_tracker_options(parser)
+    args = parser.parse_args(argv)
+    if args.max_frames is not None and args.max_frames < 1:
+        parser.error('--max-frames must be at least 1')
+    if args.out is None and (args.view or args.side_by_side):
+        parser.error('--view and --side-by-side need OUT')
+    if args.out is not None and args.out.suffix not in ('', '.mp4'):
+        parser.error(f"OUT is a folder for a bag, or ends in .mp4: not '{args.out}'")
+    if args.side_by_side and args.out.suffix != '.mp4':
+        parser.error('--side-by-side needs an .mp4 as OUT')
+    paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
+    if len(set(paths)) < len(paths):
+        parser.error('IN, OUT and --trajectory must be different files')
+    return args, tracker_config(parser, args)
+
+
+def main(argv=None):
+    """Run the command line; return the exit status."""
+    args, tracker = arguments(argv)
+    # The same defaults as the node's, of which a bag is to look like a recording.
+    config = NodeConfig(tracker=tracker, view=args.view or ViewConfig())
+
+    def command():
+        recording = open_recording(args.recording, args.image_topic)
+        total = min(filter(None, (recording.frame_count, args.max_frames)), default=None)
+        start_s = time.perf_counter()
+        with ExitStack() as stack:
+            sinks = []
+            if args.trajectory:
+                sinks.append(trajectory_sink(args.trajectory, args.force, stack))
+            if args.out:
+                sinks.append(output_sink(args, config, stack))
+            stack.enter_context(logging_redirect_tqdm())
+            # Shown on terminals only.
+            summary = replay(recording, Stabilizer(config), sinks, args.max_frames,
+                             lambda frames: tqdm(frames, total=total, unit=' frames',
+                                                 disable=None))
+        for line in report(summary, config, time.perf_counter() - start_s):
+            print(line)
+
+    return run('replay', command)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

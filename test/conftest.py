@@ -1,0 +1,36 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures: real footage where it is present, and tiny recordings made on the spot."""
+
+from pathlib import Path
+
+import pytest
+from tiny_recordings import turning_spheres, write_bag, write_video
+
+
+@pytest.fixture(scope='session')
+def shared_data():
+    """Return the folder with real footage beside the checkout, or skip."""
+    folder = Path(__file__).resolve().parents[2] / 'shared' / 'data'
+    if not folder.is_dir():
+        pytest.skip('no real footage beside the checkout')
+    return folder
+
+
+@pytest.fixture(scope='session')
+def turning():
+    """Return twelve spheres of a turning camera, and its R_world_camera."""
+    return turning_spheres(12)
+
+
+@pytest.fixture(scope='session')
+def turning_bag(tmp_path_factory, turning):
+    """Return a rosbag2 folder with the spheres of ``turning``."""
+    return write_bag(tmp_path_factory.mktemp('turning') / 'bag', turning[0])
+
+
+@pytest.fixture(scope='session')
+def turning_video(tmp_path_factory, turning):
+    """Return an MP4 file with the spheres of ``turning``."""
+    pytest.importorskip('av')
+    return write_video(tmp_path_factory.mktemp('turning') / 'video.mp4', turning[0])

@@ -1,0 +1,233 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The player in a process of its own, heard through the middleware."""
+
+from contextlib import contextmanager
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from rosbags.typesys import get_typestore, Stores
+from scipy.spatial.transform import Rotation
+from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording.bag_writer import BagWriter
+from sph_stab_ros.recording.images import image_from_message
+from tiny_recordings import IMAGE_TOPIC, PERIOD_NS, stamps_of, START_NS, textured_sphere
+
+pytest.importorskip('rclpy', reason='rclpy is not installed')
+from geometry_msgs.msg import QuaternionStamped  # noqa: E402, I100
+from node_harness import DOMAINS, stamp_ns, TIMEOUT_S  # noqa: E402, I100
+import rclpy  # noqa: E402, I100
+from rclpy.context import Context  # noqa: E402, I100
+from rclpy.executors import SingleThreadedExecutor  # noqa: E402, I100
+from rclpy.serialization import serialize_message  # noqa: E402, I100
+from sensor_msgs.msg import CompressedImage, Image  # noqa: E402, I100
+from sph_stab_ros.player import copy_fields, message_type  # noqa: E402, I100
+
+IMAGE = textured_sphere()
+
+
+class Listener:
+    """Plays a recording to subscribers; ``received`` holds the messages by topic."""
+
+    def __init__(self, process, domain, topics):
+        self.process = process
+        self.received = {topic: [] for topic in topics}
+        self.order = []
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = rclpy.create_node('listener', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        # The images last: the player waits for their subscriber only.
+        for topic, kind in reversed(topics.items()):
+            self._node.create_subscription(
+                kind, topic, lambda msg, topic=topic: self._take(topic, msg), 100)
+
+    def _take(self, topic, msg):
+        self.received[topic].append(msg)
+        self.order.append(topic)
+
+    def close(self):
+        """Leave the middleware."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def wait_until(self, condition):
+        """Listen until a condition holds."""
+        end_s = time.monotonic() + TIMEOUT_S
+        while not condition():
+            assert time.monotonic() < end_s, 'waited in vain'
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def listen_to_the_end(self):
+        """Listen until the player has ended; check that it ended well."""
+        self.wait_until(lambda: self.process.poll() is not None)
+        assert self.ending() == (0, '')
+
+    def ending(self):
+        """Return the player's exit status and what it said on stderr."""
+        _, error = self.process.communicate(timeout=TIMEOUT_S)
+        return self.process.returncode, error
+
+
+def start(*args, domain=None):
+    """Start the player as a process."""
+    return subprocess.Popen(
+        [sys.executable, '-m', 'sph_stab_ros.player', *map(str, args)], text=True,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain or next(DOMAINS))},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@contextmanager
+def playing(*args, topics):
+    """Play a recording and give the Listener; leave nothing running."""
+    domain = next(DOMAINS)
+    process = start('--wait', *args, domain=domain)
+    listener = Listener(process, domain, topics)
+    try:
+        yield listener
+    finally:
+        listener.close()
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def stamps(messages):
+    """Return the header stamps in ns."""
+    return [stamp_ns(msg) for msg in messages]
+
+
+def test_compressed_images_go_out_as_they_were_recorded(turning_bag):
+    """Every one, untouched, not faster than asked for."""
+    start_s = time.monotonic()
+    with playing(turning_bag, '--rate', 0.5,
+                 topics={'image/compressed': CompressedImage}) as heard:
+        heard.listen_to_the_end()
+        messages = heard.received['image/compressed']
+    assert time.monotonic() - start_s > 11 * PERIOD_NS / 1e9 / 0.5
+    assert stamps(messages) == stamps_of(12).tolist()
+    recorded = [msg for _, msg in open_recording(turning_bag).messages(IMAGE_TOPIC)]
+    assert [bytes(msg.data) for msg in messages] == [bytes(msg.data) for msg in recorded]
+    assert {(msg.format, msg.header.frame_id) for msg in messages} == {
+        ('bgr8; jpeg compressed bgr8', 'theta_camera')}
+
+
+@pytest.fixture(scope='module')
+def bag_with_truth(tmp_path_factory):
+    """Return a bag of raw images, and orientations between them."""
+    path = tmp_path_factory.mktemp('truth') / 'bag'
+    with BagWriter(path) as bag:
+        for index in range(5):
+            stamp = START_NS + index * PERIOD_NS
+            bag.write('/camera', bag.type('sensor_msgs/msg/Image')(
+                header=bag.header(stamp, 'lens'), height=IMAGE.shape[0], width=IMAGE.shape[1],
+                encoding='bgr8', is_bigendian=0, step=3 * IMAGE.shape[1], data=IMAGE.ravel()),
+                stamp)
+            bag.write_orientation('/truth', stamp + PERIOD_NS // 2, 'mocap',
+                                  Rotation.from_rotvec((0, 0, 0.1 * index)))
+    return path
+
+
+def test_images_and_truth_go_out_in_the_order_of_time(bag_with_truth):
+    """Raw images without loss, and the other topic under its own name."""
+    with playing(bag_with_truth, '--topics', '/truth',
+                 topics={'image': Image, '/truth': QuaternionStamped}) as heard:
+        heard.listen_to_the_end()
+    assert heard.order == 5 * ['image', '/truth']
+    assert all(np.array_equal(image_from_message(m), IMAGE) for m in heard.received['image'])
+    truth = heard.received['/truth']
+    assert stamps(truth) == (stamps_of(5) + PERIOD_NS // 2).tolist()
+    assert {msg.header.frame_id for msg in truth} == {'mocap'}
+    assert np.allclose([msg.quaternion.z for msg in truth], np.sin(0.05 * np.arange(5)))
+
+
+def test_raw_images_are_compressed_on_demand_and_remapped(bag_with_truth):
+    """--compressed, and ROS's own way to name topics."""
+    with playing(bag_with_truth, '--compressed', '--ros-args', '-r', 'image/compressed:=/theta',
+                 topics={'/theta': CompressedImage}) as heard:
+        heard.listen_to_the_end()
+    images = [image_from_message(msg) for msg in heard.received['/theta']]
+    assert stamps(heard.received['/theta']) == stamps_of(5).tolist()
+    assert max(np.abs(image.astype(int) - IMAGE).mean() for image in images) < 8
+
+
+@pytest.mark.parametrize('ending', [signal.SIGINT, signal.SIGTERM])
+def test_a_loop_goes_on_in_time_until_it_is_ended(turning_bag, ending):
+    """Stamps increase from loop to loop; both signals are a good end."""
+    with playing(turning_bag, '--loop', '--rate', 4,
+                 topics={'image/compressed': CompressedImage}) as heard:
+        messages = heard.received['image/compressed']
+        heard.wait_until(lambda: len(messages) >= 30)
+        os.kill(heard.process.pid, ending)
+        assert heard.ending() == (0, '')
+    assert np.all(np.diff(stamps(messages)) > 0)
+    assert stamps(messages)[:12] == stamps_of(12).tolist()
+    assert bytes(messages[12].data) == bytes(messages[0].data)
+
+
+def test_now_keeps_the_intervals_and_moves_them_to_the_present(turning_bag):
+    """At another rate the intervals are scaled as the playing is."""
+    before_ns = time.time_ns()
+    with playing(turning_bag, '--now', '--rate', 2,
+                 topics={'image/compressed': CompressedImage}) as heard:
+        heard.listen_to_the_end()
+    new_ns = np.array(stamps(heard.received['image/compressed']))
+    assert before_ns < new_ns[0] < time.time_ns()
+    assert np.abs(np.diff(new_ns) - PERIOD_NS / 2).max() <= 1
+
+
+def test_a_video_is_played_with_the_present_time(turning_video, turning):
+    """A video has no clock of its own."""
+    before_ns = time.time_ns()
+    with playing(turning_video, topics={'image': Image}) as heard:
+        heard.listen_to_the_end()
+    messages = heard.received['image']
+    assert len(messages) == len(turning[0])
+    assert {msg.header.frame_id for msg in messages} == {'camera'}
+    new_ns = np.array(stamps(messages))
+    assert before_ns < new_ns[0] and np.abs(np.diff(new_ns) - PERIOD_NS).max() < 2e4
+
+
+@pytest.mark.parametrize('args, status, message', [
+    ((), 2, 'REC'),
+    (('{bag}', '--rate', '0'), 2, '--rate'),
+    (('{bag}', '--ros-args', '-r', 'nonsense'), 2, 'nonsense'),
+    (('{bag}.missing',), 1, 'does not exist'),
+    (('{bag}', '--topics', '/nowhere'), 1, 'no topic /nowhere'),
+    (('{bag}', '--image-topic', '/nowhere'), 1, IMAGE_TOPIC),
+])
+def test_wrong_calls_and_failures_end_with_one_line(turning_bag, args, status, message):
+    """Exit status 2 or 1."""
+    process = start(*(arg.format(bag=turning_bag) for arg in args))
+    _, error = process.communicate(timeout=TIMEOUT_S)
+    assert (process.returncode, len(error.splitlines())) == (status, 1), error
+    assert message in error
+
+
+@pytest.mark.parametrize('name', [
+    'geometry_msgs/msg/PoseStamped', 'geometry_msgs/msg/TransformStamped',
+    'nav_msgs/msg/Odometry', 'sensor_msgs/msg/Imu', 'sensor_msgs/msg/CameraInfo'])
+def test_messages_are_copied_field_by_field(name):
+    """What the middleware would send is what a bag would hold."""
+    types = get_typestore(Stores.ROS2_JAZZY)
+    empty = message_type(name)()
+    recorded = types.deserialize_cdr(bytes(serialize_message(empty)), name)
+    recorded.header.frame_id, recorded.header.stamp.nanosec = 'mocap', 7
+    for field in ('orientation_covariance', 'k'):
+        if hasattr(recorded, field):
+            setattr(recorded, field, np.arange(9.))
+    copied = types.deserialize_cdr(bytes(serialize_message(copy_fields(recorded, empty))), name)
+    assert types.serialize_cdr(copied, name) == types.serialize_cdr(recorded, name)
+
+
+def test_a_message_type_that_is_not_installed_is_named(tmp_path):
+    """Some robots have fewer packages than the recorder."""
+    with pytest.raises(RecordingError, match='nowhere_msgs/msg/Image is not installed'):
+        message_type('nowhere_msgs/msg/Image')
