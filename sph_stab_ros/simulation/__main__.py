@@ -1,0 +1,111 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Simulate a flight and write it as a recording with exact truth."""
+
+from dataclasses import replace
+from pathlib import Path
+import sys
+
+from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.simulation import flights
+from sph_stab_ros.simulation.recordings import read_frames, write_recording
+from sph_stab_ros.simulation.renderer import render_flight, RenderOptions
+from sph_stab_ros.simulation.room import Room
+from tqdm import tqdm
+
+NAME = 'simulation'
+FROM_LOGS = {'drone': flights.drone, 'pioneer': flights.pioneer, 'handheld': flights.handheld}
+SYNTHETIC = {'synthetic': flights.synthetic, 'hover': flights.hover, 'shake': flights.shake}
+PEOPLE = {'pioneer': 2, 'handheld': 4}
+HARD = {
+    'plain': {},  # a property of the room
+    'blur': {'exposure_s': 1 / 30},
+    'rolling': {'readout_s': 0.02},
+    'stitch': {'stitch_error_deg': 0.5},
+    'exposure': {'exposure_step': 0.3},
+}
+
+
+def parser():
+    """Return the parser of the command line."""
+    result = Parser(f'python3 -m sph_stab_ros.{NAME}', description=__doc__)
+    result.add_argument('flight', choices=[*FROM_LOGS, *SYNTHETIC])
+    result.add_argument('out', type=Path, metavar='OUT', help='rosbag2 folder to write')
+    result.add_argument('--logs', type=Path, metavar='DIR',
+                        help=f'rotation logs; {", ".join(FROM_LOGS)} need them')
+    result.add_argument('--frames', type=Path, metavar='DIR',
+                        help='take the pictures from this folder instead of rendering them')
+    result.add_argument('--first-frame', type=int, default=0, metavar='N',
+                        help='where in the flight to start (default: %(default)s)')
+    result.add_argument('--frames-limit', type=int, metavar='N', help='number of frames to write')
+    result.add_argument('--width', type=int, default=640, metavar='PX',
+                        help='of the pictures, a multiple of 4 (default: %(default)s)')
+    result.add_argument('--quality', type=int, default=80, metavar='1-100',
+                        help='of the JPEG compression (default: %(default)s)')
+    result.add_argument('--seed', type=int, default=0,
+                        help='of the room, noise and synthetic motion (default: %(default)s)')
+    result.add_argument('--hard', action='append', choices=HARD, default=[],
+                        help='difficulty, may be repeated; blur halves 30 frames/s to 15')
+    result.add_argument('--force', action='store_true', help='replace OUT')
+    return result
+
+
+def main(argv=None):
+    """Run the command line and return its exit status."""
+    command_line = parser()
+    args = command_line.parse_args(argv)
+    if args.flight in FROM_LOGS and args.logs is None:
+        command_line.error(f'{args.flight} needs --logs')
+    if args.width < 16 or args.width % 4:
+        command_line.error('--width must be a multiple of 4 and at least 16')
+    if not 1 <= args.quality <= 100:
+        command_line.error('--quality must be within 1 and 100')
+    if args.seed < 0:
+        command_line.error('--seed must not be negative')
+    if args.frames is not None and args.hard:
+        command_line.error('--hard is for rendering, not for --frames')
+    return run(NAME, lambda: simulate(command_line, args))
+
+
+def simulate(command_line, args):
+    """Write the recording that the arguments describe."""
+    whole = whole_flight(args)
+    flight = part(command_line, whole, args)
+    if args.frames is not None:
+        images = read_frames(args.frames, flight, whole)
+    else:
+        options = RenderOptions(robot=args.flight == 'pioneer', seed=args.seed)
+        for difficulty in args.hard:
+            options = replace(options, **HARD[difficulty])
+        room = Room(flight, args.seed, people=PEOPLE.get(args.flight, 1),
+                    plain_walls='plain' in args.hard)
+        images = render_flight(room, flight, args.width, options)
+    progress = tqdm(images, args.flight, len(flight.stamps_ns), unit='frame', disable=None)
+    write_recording(args.out, flight, progress, args.quality, args.force)
+
+
+def whole_flight(args):
+    """Return the flight that is named, at its full length."""
+    if args.flight in SYNTHETIC:
+        return SYNTHETIC[args.flight](seed=args.seed)
+    try:
+        return FROM_LOGS[args.flight](args.logs)
+    except ValueError as error:
+        raise RecordingError(str(error)) from error
+
+
+def part(command_line, whole, args):
+    """Return the part of the flight that is wanted; a part it does not have is a wrong call."""
+    every = 2 if 'blur' in args.hard and whole.frame_rate_hz > 15 else 1
+    frames = args.frames_limit
+    if frames is None:
+        frames = len(whole.stamps_ns[max(args.first_frame, 0)::every])
+    try:
+        return whole.cut(args.first_frame, frames, every)
+    except ValueError as error:
+        command_line.error(str(error))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

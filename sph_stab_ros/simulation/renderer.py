@@ -1,0 +1,191 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+A quick ray caster for equirectangular pictures of a `Room`.
+
+Plain NumPy: about 0.3 s for 640×320 on one core. No shadows, reflections or lens other than
+what `RenderOptions` says; it serves tests and small recordings.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.equirect import bearing_grid
+from sph_stab_ros.simulation.flights import R_BODY_CAMERA
+
+_STITCH_AXIS = np.array([2.0, 2.0, 1.0]) / 3.0
+_EXPOSURE_STEP_S = 1.5
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """
+    What the camera does to the picture; the defaults are a good one with little noise.
+
+    A frame is stamped at the middle of its exposure, of the middle row if the shutter rolls.
+    """
+
+    noise_std: float = 1.5  # of 255 levels
+    exposure_step: float = 0.0  # largest relative change of brightness, anew every 1.5 s
+    exposure_s: float = 0.0  # motion blur
+    blur_samples: int = 6
+    readout_s: float = 0.0  # rolling shutter, from the first to the last row
+    stitch_error_deg: float = 0.0  # of the rear lens against the front lens
+    robot: bool = False  # shows what the camera is mounted on
+    supersampling: int = 2
+    seed: int = 0
+
+
+def render(room, flight, t_s, width=640, options=RenderOptions()):
+    """
+    Return what the flight's camera sees at `t_s`: (width / 2, width, 3) uint8 BGR.
+
+    Equal arguments give equal pictures, noise included.
+    """
+    if options.exposure_s > 0:
+        moments = (np.arange(options.blur_samples) + 0.5) / options.blur_samples - 0.5
+        image = np.mean([_snapshot(room, flight, t_s + moment * options.exposure_s, width, options)
+                         for moment in moments], axis=0, dtype=np.float32)
+    else:
+        image = _snapshot(room, flight, t_s, width, options).astype(np.float32)
+    step = np.random.default_rng([options.seed, int(t_s // _EXPOSURE_STEP_S)]).uniform(-1, 1)
+    image *= 1 + options.exposure_step * step
+    rng = np.random.default_rng([options.seed, round(t_s * 1e6)])
+    image += options.noise_std * rng.standard_normal(image.shape, np.float32)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def render_flight(room, flight, width=640, options=RenderOptions()):
+    """Yield the picture of every frame of a flight."""
+    for t_s in flight.frame_times_s:
+        yield render(room, flight, float(t_s), width, options)
+
+
+def _snapshot(room, flight, t_s, width, options):
+    fine_width = width * options.supersampling
+    camera_rays = _camera_rays(fine_width, options.stitch_error_deg)
+    rows = fine_width // 2
+    if options.readout_s > 0:
+        times = t_s + ((np.arange(rows) + 0.5) / rows - 0.5) * options.readout_s
+        R = flight.R_mocap_camera(times).as_matrix().astype(np.float32)
+        rays = np.ascontiguousarray(np.einsum('rij,jrc->irc', R, camera_rays))
+        origins = flight.p_mocap_camera(times).T.astype(np.float32)[..., None]
+    else:
+        rays = _rotated(flight.R_mocap_camera(t_s), camera_rays)
+        origins = flight.p_mocap_camera(t_s).astype(np.float32)[:, None, None]
+
+    hits = _Hits(rays.shape[1:])
+    hits.enter_shell(room.shell, rays, origins)
+    for box in room.boxes:
+        hits.enter_box(box, t_s, rays, origins)
+    if options.robot:
+        body_rays = _rotated(R_BODY_CAMERA, camera_rays)
+        for box in room.robot:
+            hits.enter_box(box, t_s, body_rays, np.zeros((3, 1, 1), np.float32))
+
+    # A compromise between blur and shimmer where a side is seen at a grazing angle.
+    footprint = 2 * np.pi / fine_width * hits.distance / np.maximum(hits.cosine, 0.02) ** 0.75
+    image = room.atlas.sample(hits.side, hits.x_m, hits.y_m, footprint.astype(np.float32))
+    return cv2.resize(image, (width, width // 2), interpolation=cv2.INTER_AREA)
+
+
+class _Hits:
+    """What every ray (h, w) meets first: a side, the place on it, distance and incidence."""
+
+    def __init__(self, shape):
+        self.distance = np.full(shape, np.inf, np.float32)
+        self.side = np.zeros(shape, np.int32)
+        self.x_m, self.y_m, self.cosine = (np.empty(shape, np.float32) for _ in range(3))
+
+    def enter_shell(self, box, rays, origins):
+        """Meet the room's own sides, from inside; every ray does."""
+        lowest, highest = _corners(box, 0.0)
+        with np.errstate(divide='ignore'):
+            distances = [(np.where(rays[i] > 0, highest[i], lowest[i]) - origins[i]) / rays[i]
+                         for i in range(3)]
+        axis = np.where(distances[0] < distances[1], 0, 1)
+        distance = np.minimum(distances[0], distances[1])
+        axis = np.where(distances[2] < distance, 2, axis)
+        distance = np.minimum(distance, distances[2])
+        every = np.arange(distance.size)
+        self._record(every, box, (lowest, highest), axis.ravel(), distance.ravel(),
+                     rays.reshape(3, -1),
+                     np.broadcast_to(origins, rays.shape).reshape(3, -1)
+                     if origins.shape[1] > 1 else origins[:, :, 0])
+
+    def enter_box(self, box, t_s, rays, origins):
+        """Meet a box from outside, where it is nearer than what was met so far."""
+        lowest, highest = _corners(box, t_s)
+        index = np.flatnonzero(_may_meet(lowest, highest, rays, origins))
+        d = rays.reshape(3, -1).take(index, axis=1)
+        rows = index // rays.shape[2] if origins.shape[1] > 1 else np.zeros(1, int)
+        o = origins[:, rows, 0]
+        with np.errstate(divide='ignore', invalid='ignore'):
+            ends = ((lowest[:, None] - o) / d, (highest[:, None] - o) / d)
+        nearest = np.minimum(*ends)
+        axis = np.argmax(nearest, axis=0)
+        distance = nearest.max(axis=0)
+        met = ((distance > 0) & (distance < np.maximum(*ends).min(axis=0))
+               & (distance < self.distance.take(index)))
+        self._record(index[met], box, (lowest, highest), axis[met], distance[met], d[:, met],
+                     o if o.shape[1] == 1 else o[:, met])
+
+    def _record(self, index, box, corners, axis, distance, d, o):
+        lowest, highest = corners
+        x, y, z = o + distance * d
+        along = np.where(axis == 0, d[0], np.where(axis == 1, d[1], d[2]))
+        forwards = along > 0
+        # As seen by the viewer: columns to the right, rows down.
+        across = np.where(axis == 0, np.where(forwards, highest[1] - y, y - lowest[1]),
+                          np.where((axis == 2) | forwards, x - lowest[0], highest[0] - x))
+        down = np.where(axis == 2, highest[1] - y, highest[2] - z)
+        self.distance.put(index, distance)
+        self.side.put(index, box.first_side + 2 * axis + forwards)
+        self.x_m.put(index, across)
+        self.y_m.put(index, down)
+        self.cosine.put(index, np.abs(along))
+
+
+def _may_meet(lowest, highest, rays, origins):
+    """Tell which rays (h, w) pass through the sphere around a box; a few too many if rolling."""
+    middle = origins.mean(axis=(1, 2))
+    to_box = (lowest + highest) / 2 - middle
+    radius = (np.linalg.norm(highest - lowest) / 2
+              + np.linalg.norm(origins - middle[:, None, None], axis=0).max())
+    distance = np.linalg.norm(to_box)
+    if distance <= radius:
+        return np.ones(rays.shape[1:], bool)
+    cosine = np.float32(np.sqrt(1 - (radius / distance) ** 2))
+    return (to_box / distance) @ rays.reshape(3, -1) > cosine
+
+
+def _corners(box, t_s):
+    """Lowest and highest corner (3,) of a box."""
+    centre = box.centre_m(t_s)
+    return ((centre - box.size_m / 2).astype(np.float32),
+            (centre + box.size_m / 2).astype(np.float32))
+
+
+@lru_cache(maxsize=4)
+def _camera_rays(width, stitch_error_deg):
+    """
+    Directions (3, h, w) float32 in which the camera's pixels really look.
+
+    The picture's middle half comes from the front lens, the rest from the rear; a stitch error
+    turns them against each other, the camera's frame staying half-way between.
+    """
+    rays = bearing_grid(width).transpose(2, 0, 1).copy()
+    if stitch_error_deg:
+        front = rays[2] > 0
+        for lens, sign in ((front, 0.5), (~front, -0.5)):
+            error = Rotation.from_rotvec(sign * np.deg2rad(stitch_error_deg) * _STITCH_AXIS)
+            rays[:, lens] = error.as_matrix().astype(np.float32) @ rays[:, lens]
+    return rays
+
+
+def _rotated(R, rays):
+    return (R.as_matrix().astype(np.float32) @ rays.reshape(3, -1)).reshape(rays.shape)
