@@ -1,0 +1,49 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Start the stabilizer node; ``ros2 launch sph_stab_ros stabilizer.launch.py -s`` explains how."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+ARGUMENTS = (
+    DeclareLaunchArgument(
+        'params_file',
+        default_value=PathJoinSubstitution(
+            [FindPackageShare('sph_stab_ros'), 'config', 'stabilizer.yaml']),
+        description='YAML file of the parameters'),
+    DeclareLaunchArgument('namespace', default_value='', description='Namespace of the node'),
+    DeclareLaunchArgument(
+        'image', default_value='image',
+        description='Topic of the images; with /compressed behind it where image_transport is '
+                    'compressed'),
+    DeclareLaunchArgument(
+        'image_transport', default_value='', choices=['', 'raw', 'compressed'],
+        description='How the images come; empty: as params_file says'),
+    DeclareLaunchArgument(
+        'use_sim_time', default_value='', choices=['', 'true', 'false'],
+        description='Take the time from /clock; empty: as params_file says'),
+)
+
+
+def stabilizer(context):
+    """Return the node; an argument left empty does not override the file's parameter."""
+    def argument(name):
+        return LaunchConfiguration(name).perform(context)
+
+    given = {}
+    if argument('image_transport'):
+        given['image_transport'] = argument('image_transport')
+    if argument('use_sim_time'):
+        given['use_sim_time'] = argument('use_sim_time') == 'true'
+    return [Node(
+        package='sph_stab_ros', executable='stabilizer', name='stabilizer',
+        namespace=argument('namespace'), output='screen',
+        parameters=[argument('params_file'), given], remappings=[('image', argument('image'))])]
+
+
+def generate_launch_description():
+    """Return what ``ros2 launch`` starts."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=stabilizer)])

@@ -1,0 +1,51 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+The node's parameters and their defaults as a YAML file.
+
+``python3 -m sph_stab_ros.parameter_file > config/stabilizer.yaml`` writes the one in the package.
+"""
+
+from textwrap import indent, wrap
+
+from sph_stab_ros.config import NODE_PARAMETERS
+
+HEADER = """\
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+#
+# All parameters of the stabilizer node and their defaults.
+# Written by: python3 -m sph_stab_ros.parameter_file > config/stabilizer.yaml
+
+/**:
+  ros__parameters:
+"""
+
+
+def parameter_file():
+    """Return the text of the YAML file."""
+    groups = {}
+    for name, option in NODE_PARAMETERS.items():
+        group, _, key = name.rpartition('.')
+        groups.setdefault(group, []).append(_entry(key, option))
+    text = '\n'.join(groups.pop(''))
+    for group, entries in groups.items():
+        text += f'\n{group}:\n' + indent('\n'.join(entries), '  ')
+    return HEADER + indent(text, '    ')
+
+
+def _entry(key, option):
+    """Return the lines of one option: help, allowed values, default."""
+    lines = wrap(f'{option.help}{_allowed(option)}{"" if option.live else " (at start only)"}.',
+                 width=88)
+    return ''.join(f'# {line}\n' for line in lines) + f'{key}: {option.default!r}\n'
+
+
+def _allowed(option):
+    if option.choices:
+        return ': ' + ', '.join(option.choices)
+    return '' if option.minimum is None else f': {option.minimum:g} to {option.maximum:g}'
+
+
+if __name__ == '__main__':
+    print(parameter_file(), end='')

@@ -1,0 +1,114 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""What became of the images: counted, logged without flooding, summed up for /diagnostics."""
+
+from collections import Counter
+from threading import Lock
+from time import monotonic
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from sph_stab_ros.trackers import TrackingStatus
+
+LOG_PERIOD_S = 5.0
+
+
+class Diagnostics:
+    """
+    Counts frames, refused images and notices; its methods may be called from any thread.
+
+    Parameters
+    ----------
+    name : str
+        The node's name, as the status shows it.
+    warn : callable
+        Logs a text as a warning.
+
+    """
+
+    def __init__(self, name, warn):
+        self._name = name
+        self._log = ThrottledLog(warn)
+        self._lock = Lock()
+        self._frames = 0
+        self._refused = Counter()
+        self._notices = Counter()
+        self._tracking = Counter()
+        self._status = None
+        self._start_period()
+
+    def count_frame(self, stabilized, latency_s):
+        """Count a StabilizedFrame published ``latency_s`` after its receipt."""
+        with self._lock:
+            self._frames += 1
+            self._status = stabilized.status
+            self._tracking[stabilized.status] += 1
+            self._latencies_s.append(latency_s)
+            for notice in stabilized.notices:
+                self._notices[notice.name.lower()] += 1
+        for notice in stabilized.notices:
+            self._log.warn(notice, notice.value)
+        if stabilized.status is not TrackingStatus.OK:
+            self._log.warn(stabilized.status, f'no rotation found: {stabilized.status.value}')
+
+    def refuse(self, reason, detail):
+        """Count an image that cannot be used; ``reason`` is one of few, ``detail`` is logged."""
+        with self._lock:
+            self._refused[reason] += 1
+            self._last_refusal = reason
+        self._log.warn(reason, f'image refused, {detail}')
+
+    def status(self, dropped):
+        """Return the DiagnosticStatus of the time since the last call."""
+        with self._lock:
+            elapsed_s = monotonic() - self._period_start_s
+            latencies_s = self._latencies_s
+            level, message = self._judgement()
+            values = {
+                'tracking': self._status.value if self._status else 'waiting',
+                'rate_hz': f'{len(latencies_s) / elapsed_s:.1f}',
+                'latency_ms': f'{1e3 * sum(latencies_s) / max(len(latencies_s), 1):.1f}',
+                'frames': self._frames,
+                **{f'frames: {status.value}': self._tracking[status] for status in TrackingStatus},
+                'dropped': dropped,
+                'refused': sum(self._refused.values()),
+                **{f'refused: {reason}': n for reason, n in sorted(self._refused.items())},
+                **{f'notice: {name}': n for name, n in sorted(self._notices.items())},
+            }
+            self._start_period()
+        return DiagnosticStatus(
+            level=level, name=f'{self._name}: stabilization', message=message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+
+    def _start_period(self):
+        self._period_start_s = monotonic()
+        self._latencies_s = []
+        self._last_refusal = None
+
+    def _judgement(self):
+        """Return level and message of the present period."""
+        if self._last_refusal:
+            return DiagnosticStatus.WARN, f'images are refused: {self._last_refusal}'
+        if not self._latencies_s:
+            return DiagnosticStatus.WARN, 'no images'
+        if self._status is not TrackingStatus.OK:
+            return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'
+        return DiagnosticStatus.OK, 'ok'
+
+
+class ThrottledLog:
+    """Says each kind of thing at most once in LOG_PERIOD_S, and how often it was not said."""
+
+    def __init__(self, warn):
+        self._warn = warn
+        self._next_s = {}
+        self._unsaid = Counter()
+
+    def warn(self, kind, text):
+        """Log ``text`` unless something of the same kind was logged just now."""
+        if monotonic() < self._next_s.get(kind, 0):
+            self._unsaid[kind] += 1
+            return
+        unsaid = self._unsaid.pop(kind, 0)
+        self._next_s[kind] = monotonic() + LOG_PERIOD_S
+        self._warn(text + (f' ({unsaid} more of these before)' if unsaid else ''))

@@ -1,0 +1,67 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Image topics as image_transport has them: ``image`` raw and ``image/compressed``.
+
+Remapping ``image`` takes ``image/compressed`` along, unless that is remapped itself. All quality
+of service can be overridden by parameters (``qos_overrides.<topic>.publisher.depth``, …).
+"""
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import CompressedImage, Image
+
+from sph_stab_ros.recording.images import fill_compressed, fill_image
+
+COMPRESSED = '/compressed'
+
+
+def subscribe_to_images(node, topic, transport, callback):
+    """Subscribe to ``topic`` as 'raw' or 'compressed' images, as sensor data."""
+    compressed = transport == 'compressed'
+    return node.create_subscription(
+        CompressedImage if compressed else Image,
+        compressed_topic(node, topic) if compressed else topic, callback,
+        QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+def advertise(node, msg_type, topic, depth=5):
+    """Return a publisher, reliable so that every subscriber matches (REP 2003)."""
+    return node.create_publisher(
+        msg_type, topic, QoSProfile(depth=depth),
+        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+
+class ImagePublisher:
+    """Publishes images on ``topic`` and on ``topic/compressed``, as far as somebody subscribes."""
+
+    def __init__(self, node, topic):
+        self._raw = advertise(node, Image, topic)
+        self._compressed = advertise(node, CompressedImage, compressed_topic(node, topic))
+
+    @property
+    def wanted(self):
+        """Whether anybody subscribes to either topic."""
+        return is_wanted(self._raw) or is_wanted(self._compressed)
+
+    def publish(self, header, image, jpeg_quality):
+        """Publish an image (H, W[, 3]) under a Header."""
+        if is_wanted(self._raw):
+            self._raw.publish(fill_image(Image(header=header), image))
+        if is_wanted(self._compressed):
+            msg = CompressedImage(header=header)
+            self._compressed.publish(fill_compressed(msg, image, jpeg_quality))
+
+
+def is_wanted(publisher):
+    """Tell whether anybody subscribes to a publisher's topic."""
+    return publisher.get_subscription_count() > 0
+
+
+def compressed_topic(node, topic):
+    """Return where the compressed images of ``topic`` are, remappings considered."""
+    name = topic + COMPRESSED
+    if node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True):
+        return name
+    return node.resolve_topic_name(topic) + COMPRESSED

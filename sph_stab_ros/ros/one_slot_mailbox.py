@@ -1,0 +1,39 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The way from the executor's thread to the worker's: only the newest message counts."""
+
+from threading import Condition
+
+
+class OneSlotMailbox:
+    """
+    Holds one item for another thread; a newer one takes the place of one not yet fetched.
+
+    ``dropped`` counts those that were replaced.
+    """
+
+    def __init__(self):
+        self.dropped = 0
+        self._condition = Condition()
+        self._item = None
+        self._closed = False
+
+    def put(self, item):
+        """Leave an item, not None, for the other thread."""
+        with self._condition:
+            self.dropped += self._item is not None
+            self._item = item
+            self._condition.notify()
+
+    def get(self):
+        """Wait for an item and return it; None once the mailbox is closed."""
+        with self._condition:
+            self._condition.wait_for(lambda: self._item is not None or self._closed)
+            item, self._item = self._item, None
+            return None if self._closed else item
+
+    def close(self):
+        """Let the other thread go, whether there is an item or not."""
+        with self._condition:
+            self._closed = True
+            self._condition.notify()

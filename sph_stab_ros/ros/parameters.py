@@ -1,0 +1,58 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The node's parameters, made from the options of NodeConfig and turned into one again."""
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+from sph_stab_ros.config import NODE_PARAMETERS, NodeConfig, with_option
+from sph_stab_ros.masks import load_mask
+
+
+def declare_parameters(node):
+    """
+    Declare all parameters with description, range and default; return the NodeConfig they give.
+
+    Raises rclpy's ParameterException, ConfigError or MaskError for a value that is not allowed.
+    """
+    for name, option in NODE_PARAMETERS.items():
+        node.declare_parameter(name, option.default, descriptor(option))
+    return changed_config(NodeConfig(), node.get_parameters(list(NODE_PARAMETERS)))
+
+
+def undeclared_overrides(node):
+    """Return the names of parameters given at start that the node does not have."""
+    return [name for name in node._parameter_overrides if not node.has_parameter(name)]
+
+
+def descriptor(option):
+    """Return the ParameterDescriptor of an Option."""
+    return ParameterDescriptor(
+        description=option.help,
+        read_only=not option.live,
+        additional_constraints='One of: ' + ', '.join(option.choices) if option.choices else '',
+        **_range(option))
+
+
+def changed_config(config, parameters):
+    """
+    Return the NodeConfig with the values of rclpy Parameters; those of others are left out.
+
+    Raises ConfigError or MaskError for a value that is not allowed.
+    """
+    changed = config
+    for parameter in parameters:
+        if parameter.name in NODE_PARAMETERS:
+            changed = with_option(changed, NODE_PARAMETERS[parameter.name].name, parameter.value)
+    if changed.tracker != config.tracker:
+        load_mask(changed.tracker.mask, changed.tracker.working_width)
+    return changed
+
+
+def _range(option):
+    if option.minimum is None:
+        return {}
+    if isinstance(option.default, int):
+        return {'integer_range': [IntegerRange(
+            from_value=option.minimum, to_value=option.maximum, step=1)]}
+    return {'floating_point_range': [FloatingPointRange(
+        from_value=option.minimum, to_value=option.maximum)]}

@@ -1,0 +1,216 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The real node in a process of its own, and a peer that talks to it through the middleware."""
+
+from collections import defaultdict
+from contextlib import contextmanager
+from itertools import count
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import QuaternionStamped
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.time import Time
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sph_stab_ros.recording.images import fill_compressed, fill_image
+from std_srvs.srv import Trigger
+
+TYPES = {
+    'orientation': QuaternionStamped,
+    'stabilized/image': Image,
+    'stabilized/image/compressed': CompressedImage,
+    'view/image': Image,
+    'view/image/compressed': CompressedImage,
+    'view/camera_info': CameraInfo,
+    '/diagnostics': DiagnosticArray,
+}
+# Generous: only what fails waits so long.
+TIMEOUT_S = 30.
+SETTLING_S = 0.5
+COMPRESSED = ('-p', 'image_transport:=compressed')
+# Best effort may lose raw images that exceed the 0.5 MB of Fast DDS's shared memory by default.
+RELIABLE = ('-p', 'qos_overrides./image.subscription.reliability:=reliable')
+# Nodes of other tests, also of other runs on this machine, live in other domains.
+DOMAINS = (1 + (os.getpid() * 7 + n) % 100 for n in count())
+
+os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+
+
+class Peer:
+    """
+    What surrounds a stabilizer node: a camera, subscribers, a user who sets parameters.
+
+    ``received`` holds all messages of the topics subscribed to, by topic.
+    """
+
+    def __init__(self, process, log, domain, topics, compressed):
+        self.process = process
+        self._log = log
+        self.received = defaultdict(list)
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = rclpy.create_node('peer', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._parameters = AsyncParameterClient(self._node, 'stabilizer')
+        self._reset = self._node.create_client(Trigger, 'stabilizer/reset')
+        self._direction = self._node.create_publisher(QuaternionStamped, 'view/direction', 10)
+        self._images = self._node.create_publisher(
+            CompressedImage if compressed else Image,
+            'image/compressed' if compressed else 'image', 10)
+        for topic in topics:
+            self._subscribe(topic)
+        self.wait_until(self._images.get_subscription_count)
+        self.wait_until(self._parameters.services_are_ready)
+        self.wait_until(self._reset.service_is_ready)
+        self.wait_until(self._direction.get_subscription_count)
+        # There is no way to ask the node whether it knows of our subscriptions yet.
+        self.spin_for(SETTLING_S)
+
+    def close(self):
+        """Leave the middleware."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _subscribe(self, topic):
+        """Subscribe to a topic; ``received`` fills from now on."""
+        self._node.create_subscription(TYPES[topic], topic, self.received[topic].append, 10)
+        self.wait_until(lambda: self._node.count_publishers(topic))
+
+    def spin_for(self, seconds):
+        """Serve the middleware for so long."""
+        end_s = time.monotonic() + seconds
+        self.wait_until(lambda: time.monotonic() > end_s)
+
+    def unsubscribe(self, subscription):
+        """End a subscription."""
+        self._node.destroy_subscription(subscription)
+
+    def wait_until(self, condition, timeout_s=TIMEOUT_S):
+        """Serve the middleware until a condition holds; return its value."""
+        end_s = time.monotonic() + timeout_s
+        while not (value := condition()):
+            assert time.monotonic() < end_s, f'waited in vain; the node said:\n{self.output()}'
+            assert self.process.poll() is None, f'the node has ended:\n{self.output()}'
+            self._executor.spin_once(timeout_sec=0.02)
+        return value
+
+    def output(self):
+        """Return what the node has written so far."""
+        return self._log.read_text()
+
+    def send(self, image, stamp_ns, frame_id='camera'):
+        """Publish an image, an array or a message that is ready."""
+        if isinstance(image, (Image, CompressedImage)):
+            msg = image
+        elif self._images.msg_type is CompressedImage:
+            msg = fill_compressed(CompressedImage(), image)
+        else:
+            msg = fill_image(Image(), image)
+        msg.header.stamp = Time(nanoseconds=int(stamp_ns)).to_msg()
+        msg.header.frame_id = frame_id
+        self._images.publish(msg)
+
+    def stabilize(self, image, stamp_ns):
+        """Publish an image, wait for the answer on every topic, and return the orientation."""
+        watched = [topic for topic in self.received if topic != '/diagnostics']
+        counts = [len(self.received[topic]) for topic in watched]
+        self.send(image, stamp_ns)
+        self.wait_until(lambda: all(
+            len(self.received[topic]) > n for topic, n in zip(watched, counts)))
+        return rotation(self.received['orientation'][-1])
+
+    def look(self, quaternion_xyzw, frame_id=''):
+        """Publish a view direction."""
+        msg = QuaternionStamped()
+        msg.header.frame_id = frame_id
+        (msg.quaternion.x, msg.quaternion.y, msg.quaternion.z,
+         msg.quaternion.w) = map(float, quaternion_xyzw)
+        self._direction.publish(msg)
+
+    def reset(self):
+        """Call ~/reset."""
+        return self._call(self._reset.call_async(Trigger.Request()))
+
+    def set_parameters(self, **values):
+        """Set parameters (``__`` for a dot) and return the reasons of refusal, '' where set."""
+        answer = self._call(self._parameters.set_parameters([
+            Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]))
+        return [result.reason for result in answer.results]
+
+    def get_parameters(self, *names):
+        """Return the values of parameters."""
+        answer = self._call(self._parameters.get_parameters(list(names)))
+        return [rclpy.parameter.parameter_value_to_python(value) for value in answer.values]
+
+    def describe_parameters(self, *names):
+        """Return the descriptors of parameters."""
+        return self._call(self._parameters.describe_parameters(list(names))).descriptors
+
+    def list_parameters(self):
+        """Return the names of all parameters."""
+        return set(self._call(self._parameters.list_parameters([], 10)).result.names)
+
+    def diagnostics(self, condition):
+        """Return the values of the first status of the node from now on that meets a condition."""
+        self.received['/diagnostics'].clear()
+
+        def found():
+            for msg in self.received['/diagnostics']:
+                values = {pair.key: pair.value for pair in msg.status[0].values}
+                values['level'], values['message'] = msg.status[0].level, msg.status[0].message
+                if condition(values):
+                    return values
+        return self.wait_until(found)
+
+    def _call(self, future):
+        self.wait_until(future.done)
+        return future.result()
+
+
+@contextmanager
+def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False):
+    """Run the node with ROS arguments; give a Peer, and leave neither behind."""
+    domain = next(DOMAINS)
+    log = tmp_path / 'node.log'
+    with open(log, 'w') as log_file:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'sph_stab_ros.stabilizer', '--ros-args',
+             *(COMPRESSED if compressed else RELIABLE), *arguments],
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, stdout=log_file, stderr=log_file)
+    peer = None
+    try:
+        peer = Peer(process, log, domain, topics, compressed)
+        yield peer
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        if peer:
+            peer.close()
+        try:
+            process.wait(TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            raise
+
+
+def rotation(msg):
+    """Return the Rotation of a QuaternionStamped."""
+    q = msg.quaternion
+    return Rotation.from_quat((q.x, q.y, q.z, q.w))
+
+
+def stamp_ns(msg):
+    """Return a message's header stamp in nanoseconds."""
+    return msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec

@@ -1,0 +1,147 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The node's parameters, at the start and live, and the names that are remapped."""
+
+import os
+from pathlib import Path
+import runpy
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sph_stab_ros.config import NODE_PARAMETERS
+from synthetic import angle_deg
+from tiny_recordings import stamps_of, turning_spheres
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
+from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
+from rclpy.context import Context  # noqa: E402
+from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[1]
+DEFAULTS = ROOT / 'config' / 'stabilizer.yaml'
+
+
+def test_every_option_is_a_parameter_with_its_default_and_limits(tmp_path):
+    with stabilizer(tmp_path, '--params-file', str(DEFAULTS)) as peer:
+        assert NODE_PARAMETERS.keys() <= peer.list_parameters()
+        values = peer.get_parameters(*NODE_PARAMETERS)
+        descriptors = peer.describe_parameters(*NODE_PARAMETERS)
+    for option, value, descriptor in zip(NODE_PARAMETERS.values(), values, descriptors):
+        assert value == option.default
+        assert descriptor.description == option.help
+        assert descriptor.read_only is not option.live
+        assert all(choice in descriptor.additional_constraints for choice in option.choices or ())
+        limits = [*descriptor.integer_range, *descriptor.floating_point_range]
+        assert [(one.from_value, one.to_value) for one in limits] == (
+            [] if option.minimum is None else [(option.minimum, option.maximum)])
+
+
+def test_changes_take_effect_at_the_next_image(tmp_path):
+    images, R_world_camera = turning_spheres(8)
+    R_world_camera = R_world_camera[0].inv() * R_world_camera
+    with stabilizer(tmp_path, topics=(
+            'orientation', 'view/image', 'view/camera_info', 'view/image/compressed')) as peer:
+        for i, stamp_ns in enumerate(stamps_of(4)):
+            peer.stabilize(images[i], stamp_ns)
+        large = len(peer.received['view/image/compressed'][-1].data)
+
+        assert not any(peer.set_parameters(
+            view__width=200, view__height=100, view__hfov_deg=60., jpeg_quality=5))
+        peer.stabilize(images[3], stamps_of(5)[-1])
+        view, info = peer.received['view/image'][-1], peer.received['view/camera_info'][-1]
+        assert (view.width, view.height, info.width, info.height) == (200, 100, 200, 100)
+        assert np.isclose(info.k[0], 100 / np.tan(np.deg2rad(30)))
+        assert np.allclose((info.k[2], info.k[5]), (99.5, 49.5))
+        assert len(peer.received['view/image/compressed'][-1].data) < large / 4
+
+        # Another estimator takes over in the orientation reached.
+        assert peer.set_parameters(estimator='pts', working_width=256) == ['', '']
+        for i, stamp_ns in zip(range(3, 8), stamps_of(10)[5:]):
+            R = peer.stabilize(images[i], stamp_ns)
+            assert angle_deg(R, R_world_camera[i]) < 0.5
+        assert peer.get_parameters('estimator', 'view.width') == ['pts', 200]
+
+
+def test_refusals_name_the_reason_and_change_nothing(tmp_path):
+    wrong = {
+        'estimator': ('best', 'estimator is one of pts, moment, pts_epipolar'),
+        'view.hfov_deg': (500., 'out of range'),
+        'view.yaw_deg': (float('nan'), 'out of range'),
+        'view.width': ('wide', 'Wrong parameter type'),
+        'mask': ('/there/is/no.png', "'/there/is/no.png' cannot be read"),
+        'image_transport': ('compressed', 'read-only'),
+    }
+    with stabilizer(tmp_path) as peer:
+        before = peer.get_parameters(*NODE_PARAMETERS)
+        for name, (value, reason) in wrong.items():
+            answer, = peer.set_parameters(**{name: value})
+            assert reason in answer
+        assert peer.get_parameters(*NODE_PARAMETERS) == before
+
+
+@pytest.mark.parametrize('arguments, reason', (
+    (['-p', 'estimator:=best'], 'estimator is one of'),
+    (['-p', 'view.hfov_deg:=500.0'], 'out of range'),
+    (['-p', 'mask:=lat:5'], "mask 'lat:5' is not of the form"),
+    (['-p', 'view.width:=wide'], "'view.width'"),
+    (['-p', 'nonsense'], 'nonsense'),
+))
+def test_it_does_not_start_with_wrong_values(arguments, reason):
+    done = start('--ros-args', *arguments)
+    assert done.returncode == 2
+    said = [line for line in done.stderr.splitlines() if line.startswith('stabilizer: ')]
+    assert len(said) == 1 and reason in said[0]
+    assert 'Traceback' not in done.stderr
+
+
+def test_wrong_command_lines_are_refused():
+    done = start('--estimator', 'pts')
+    assert done.returncode == 2
+    assert done.stderr == 'stabilizer: unrecognized arguments: --estimator pts\n'
+
+
+def start(*arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'sph_stab_ros.stabilizer', *arguments], text=True, timeout=60,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(next(DOMAINS))}, capture_output=True)
+
+
+def test_misspelt_parameters_are_named(tmp_path):
+    with stabilizer(tmp_path, '-p', 'estimatr:=pts') as peer:
+        assert "there is no parameter 'estimatr'" in peer.output()
+
+
+@pytest.mark.parametrize('remappings, topic', (
+    ([], '/image/compressed'),
+    (['image:=/theta/image_raw'], '/theta/image_raw/compressed'),
+    (['image/compressed:=/jpeg'], '/jpeg'),
+    (['image:=/theta/image_raw', 'image/compressed:=/jpeg'], '/jpeg'),
+))
+def test_compressed_images_go_where_the_raw_ones_go(remappings, topic):
+    context = Context()
+    rclpy.init(context=context, domain_id=next(DOMAINS))
+    arguments = [word for rule in remappings for word in ('-r', rule)]
+    node = rclpy.create_node('node', context=context, cli_args=['--ros-args', *arguments])
+    resolved = node.resolve_topic_name(compressed_topic(node, 'image'))
+    node.destroy_node()
+    context.try_shutdown()
+    assert resolved == topic
+
+
+def test_launch_file_describes_its_arguments():
+    pytest.importorskip('launch_ros', reason='launch_ros comes with a ROS installation only')
+    from launch import LaunchContext
+    script = runpy.run_path(str(ROOT / 'launch' / 'stabilizer.launch.py'))
+    described = {argument.name: argument.description
+                 for argument in script['generate_launch_description']().get_launch_arguments()}
+    assert described.keys() == {
+        'params_file', 'namespace', 'image', 'image_transport', 'use_sim_time'}
+    assert all(described.values())
+
+    context = LaunchContext()
+    context.launch_configurations.update(
+        {**dict.fromkeys(described, ''), 'params_file': str(DEFAULTS), 'image': 'camera/image'})
+    node, = script['stabilizer'](context)
+    assert (node.node_package, node.node_executable) == ('sph_stab_ros', 'stabilizer')
