@@ -34,8 +34,9 @@ setup(
         'lz4>=4.4.0,<5',
         'numpy>=1.26.4,<3',
         'opencv-python-headless>=4.6.0.66,<5',
-        'rosbags>=0.11.6,<0.12',
+        'rosbags>=0.11.9,<0.12',
         'scipy>=1.11.4,<2',
+        'threadpoolctl>=3.1.0,<4',
         'tqdm>=4.66.2,<5',
     ],
     extras_require={
@@ -72,6 +73,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
+            'demo = sph_stab_ros.demo:main',
             'evaluate = sph_stab_ros.evaluate:main',
             'player = sph_stab_ros.player:main',
             'replay = sph_stab_ros.replay:main',

@@ -1,7 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
 """
-Every option once: default, unit, bounds and help.
+Every option once: default, unit, bounds and description.
 
 ROS parameters, command lines and ``config/*.yaml`` are all made from these dataclasses. A nested
 dataclass groups its options under its name: ``view.yaw_deg``.
@@ -14,18 +14,24 @@ from sph_stab_ros.flow import FLOWS
 from sph_stab_ros.image_pair import METHODS
 
 
+ANCHORED = 'anchored'
+# Narrower spheres show too little.
+MIN_WIDTH = 128
+
+
 class ConfigError(ValueError):
     """An option that does not exist or a value it does not take, in one line for the user."""
 
 
-def option(default, help, minimum=None, maximum=None, choices=None, live=True):
+def option(default, description, minimum=None, maximum=None, choices=None, live=True):
     """
     Declare an option of a config dataclass.
 
     ``live`` options may change while running; the others take effect at start-up only.
     """
     return field(default=default, metadata={
-        'help': help, 'minimum': minimum, 'maximum': maximum, 'choices': choices, 'live': live})
+        'description': description, 'minimum': minimum, 'maximum': maximum, 'choices': choices,
+        'live': live})
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class Option:
 
     name: str
     default: Any
-    help: str
+    description: str
     minimum: float | None
     maximum: float | None
     choices: tuple | None
@@ -51,8 +57,8 @@ class Option:
             raise ConfigError(f"{self.name} is one of {', '.join(self.choices)}, not '{value}'")
         # Written so that NaN fails too.
         if self.minimum is not None and not self.minimum <= value <= self.maximum:
-            raise ConfigError(
-                f'{self.name} must lie within {self.minimum:g} and {self.maximum:g}, not {value:g}')
+            raise ConfigError(f'{self.name} must lie within {self.minimum:g} and '
+                              f'{self.maximum:g}, not {value:g}')
         return value
 
 
@@ -79,8 +85,10 @@ class TrackerConfig(Checked):
     """How the rotation is estimated."""
 
     estimator: str = option(
-        'moment', 'Estimator of the rotation', choices=tuple(METHODS))
-    flow: str = option('farneback', 'Dense optical flow', choices=tuple(FLOWS))
+        ANCHORED, 'Estimator of the rotation: anchored to keyframes, or one of the paper, chained '
+        'from frame to frame', choices=(ANCHORED, *METHODS))
+    flow: str = option('farneback', "Dense optical flow of the paper's estimators",
+                       choices=tuple(FLOWS))
     flow_updates: int = option(
         0, 'How often the flow is computed again on the derotated image', minimum=0, maximum=5)
     epipolar_bound_deg: float = option(
@@ -88,13 +96,19 @@ class TrackerConfig(Checked):
         "pts_epipolar; 180 leaves the paper's sum of squares nearly as it is",
         minimum=1., maximum=180.)
     working_width: int = option(
-        480, 'Width in pixels that images are reduced to for the estimator', minimum=128,
-        maximum=3840)
+        0, 'Width in pixels that images are reduced to for the estimator, at least 128; 0 leaves '
+        'it to the estimator: 960 for anchored, 480 for the others', minimum=0, maximum=3840)
     mask: str = option(
         '', "Pixels not to use: path of a 2:1 image (black) or 'lat:FROM,TO' in degrees")
     max_prediction_s: float = option(
         0.5, 'For how long in seconds the last angular velocity is trusted without measurement',
         minimum=0., maximum=10.)
+
+    def __post_init__(self):
+        """Check each option's value."""
+        super().__post_init__()
+        if 0 < self.working_width < MIN_WIDTH:
+            raise ConfigError(f'working_width is 0 or at least {MIN_WIDTH}')
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ class Sphere:
 
     @cached_property
     def features(self):
-        """The A-KAZE features, found once."""
+        """Find the A-KAZE features, once."""
         return matching.detect(self.grey, self.used)
 
 
@@ -99,4 +99,8 @@ class ImagePair:
                 or estimate.residual_rad > LARGE_RESIDUAL_RAD)
 
 
-METHODS = {'pts': ImagePair.pts, 'moment': ImagePair.moment, 'pts_epipolar': ImagePair.pts_epipolar}
+METHODS = {
+    'pts': ImagePair.pts,
+    'moment': ImagePair.moment,
+    'pts_epipolar': ImagePair.pts_epipolar,
+}

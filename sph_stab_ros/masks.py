@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which pixels to use: a robot sees its own body, which does not turn against the camera."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 
@@ -26,7 +28,8 @@ def load_mask(spec, width):
     if spec.startswith(LATITUDE_PREFIX):
         used = _outside_latitudes(spec, width)
     else:
-        image = cv2.imread(spec, cv2.IMREAD_GRAYSCALE)
+        # OpenCV says more than one line about a file that is not there.
+        image = cv2.imread(spec, cv2.IMREAD_GRAYSCALE) if Path(spec).is_file() else None
         if image is None:
             raise MaskError(f"mask '{spec}' cannot be read as an image")
         if not is_equirect(image.shape):

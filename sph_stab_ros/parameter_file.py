@@ -35,9 +35,9 @@ def parameter_file():
 
 
 def _entry(key, option):
-    """Return the lines of one option: help, allowed values, default."""
-    lines = wrap(f'{option.help}{_allowed(option)}{"" if option.live else " (at start only)"}.',
-                 width=88)
+    """Return the lines of one option: description, allowed values, default."""
+    when = '' if option.live else ' (at start only)'
+    lines = wrap(f'{option.description}{_allowed(option)}{when}.', width=88)
     return ''.join(f'# {line}\n' for line in lines) + f'{key}: {option.default!r}\n'
 
 

@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from sph_stab_ros.command_line import add_tracker_options, Parser, run, tracker_config
-from sph_stab_ros.config import NodeConfig, ViewConfig
+from sph_stab_ros.config import ANCHORED, NodeConfig, ViewConfig
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.side_by_side import side_by_side
@@ -146,7 +146,7 @@ def view_geometry(view):
 
 
 def report(summary, config, elapsed_s):
-    """Return the lines that tell of a replay; the drift of a chain is named."""
+    """Yield the lines that tell of a replay; the drift of a chain is named."""
     tracker = config.tracker
     counts = ', '.join(f'{n} {status}' for status, n in summary.statuses.items())
     yield (f'{summary.frames} frames in {elapsed_s:.1f} s '
@@ -154,11 +154,14 @@ def report(summary, config, elapsed_s):
     for counted in (summary.notices, summary.left_out):
         for what, n in counted.items():
             yield f'{n}x {what}'
-    flow = '' if tracker.estimator == 'pts' else f' ({tracker.flow} flow)'
-    yield (f'orientation chained over {summary.frames - 1} steps by {tracker.estimator}{flow}, '
-           f'{np.rad2deg(summary.turned_rad):.0f} deg of turning in all, '
-           f'{np.rad2deg(summary.R_world_camera.magnitude()):.1f} deg from the first frame to the '
-           'last: the errors of all steps add up, so a slow drift is part of it')
+    turned = (f'{np.rad2deg(summary.turned_rad):.0f} deg of turning in all, '
+              f'{np.rad2deg(summary.R_world_camera.magnitude()):.1f} deg from the first frame to '
+              'the last')
+    if tracker.estimator == ANCHORED:
+        yield f'orientation anchored to keyframes: {turned}'
+    else:
+        yield (f'orientation chained over {summary.frames - 1} steps by {tracker.estimator}: '
+               f'{turned}; the errors of all steps add up, so a slow drift is part of it')
 
 
 def view_argument(text):

@@ -9,13 +9,12 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import StabilizerConfig
+from sph_stab_ros.config import MIN_WIDTH, StabilizerConfig
 from sph_stab_ros.equirect import is_equirect
 from sph_stab_ros.frame import Frame
-from sph_stab_ros.trackers import make_tracker, NS_PER_S, TrackingStatus
+from sph_stab_ros.trackers import make_tracker, NS_PER_S, TrackingStatus, working_width
 from sph_stab_ros.warp import perspective_view, rotate_equirect, view_rotation
 
-MIN_WIDTH = 128
 # Without a frame for so long, motion in between is guesswork.
 LONG_GAP_S = 1.0
 
@@ -66,8 +65,7 @@ class Stabilizer:
     def reset(self):
         """Make the next frame's orientation the world's."""
         self._tracker = None
-        self._size_wh = None
-        self._stamp_ns = None
+        self._last = None
         self._R_world_start = Rotation.identity()
         self._R_world_camera = Rotation.identity()
 
@@ -75,8 +73,7 @@ class Stabilizer:
         """
         Take on another config.
 
-        A tracker that changes by it starts anew at the next frame, from the last orientation; the
-        motion in between is lost.
+        A tracker that changes by it starts anew at the last frame, in the orientation reached.
         """
         if config.tracker != self.config.tracker:
             self._tracker = None
@@ -88,29 +85,32 @@ class Stabilizer:
         notices = tuple(self._notices(frame))
         if self._tracker is None or Notice.RESIZED in notices:
             self._start(frame)
-        grey = to_grey(frame.image, self._working_width)
-        tracked = self._tracker.track(grey, frame.stamp_ns)
+        tracked = self._track(frame)
         self._R_world_camera = self._R_world_start * tracked.R_world_camera
+        self._last = frame
         return StabilizedFrame(frame, self._R_world_camera, tracked.status, notices)
 
     def _notices(self, frame):
-        size_wh = frame.image.shape[1::-1]
-        if self._size_wh not in (None, size_wh):
+        if self._last is None:
+            return
+        if frame.image.shape[:2] != self._last.image.shape[:2]:
             yield Notice.RESIZED
-        if self._stamp_ns is not None:
-            elapsed_s = (frame.stamp_ns - self._stamp_ns) / NS_PER_S
-            if elapsed_s <= 0:
-                yield Notice.STAMP_NOT_INCREASING
-            elif elapsed_s > LONG_GAP_S:
-                yield Notice.GAP
-        self._size_wh = size_wh
-        self._stamp_ns = frame.stamp_ns
+        elapsed_s = (frame.stamp_ns - self._last.stamp_ns) / NS_PER_S
+        if elapsed_s <= 0:
+            yield Notice.STAMP_NOT_INCREASING
+        elif elapsed_s > LONG_GAP_S:
+            yield Notice.GAP
 
     def _start(self, frame):
-        """Start a tracker for frames of this size, in the orientation reached so far."""
-        self._working_width = min(self.config.tracker.working_width, frame.image.shape[1])
-        self._R_world_start = self._R_world_camera
+        """Start a tracker for frames of this size, in the orientation and place reached so far."""
+        self._working_width = min(working_width(self.config.tracker), frame.image.shape[1])
         self._tracker = make_tracker(self.config.tracker, self._working_width)
+        self._R_world_start = self._R_world_camera
+        if self._last is not None and self._last.image.shape[:2] == frame.image.shape[:2]:
+            self._track(self._last)
+
+    def _track(self, frame):
+        return self._tracker.track(to_grey(frame.image, self._working_width), frame.stamp_ns)
 
 
 def check_size(image):

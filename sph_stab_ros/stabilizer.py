@@ -32,7 +32,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CameraInfo
-from sph_stab_ros.command_line import Parser
+from sph_stab_ros.command_line import limit_blas_threads, Parser
 from sph_stab_ros.config import ConfigError
 from sph_stab_ros.frame import Frame
 from sph_stab_ros.masks import MaskError
@@ -196,6 +196,7 @@ def main(args=None):
     except RuntimeError as error:
         print(f'stabilizer: cannot start: {error}', file=sys.stderr)
         return 2
+    limit_blas_threads()
     node = None
     try:
         node = StabilizerNode()

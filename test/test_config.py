@@ -16,7 +16,7 @@ ALL = list(options(NodeConfig))
 
 @pytest.mark.parametrize('option', ALL, ids=lambda option: option.name)
 def test_options_are_complete_and_round_trip(option):
-    assert option.help and not option.help.endswith('.')
+    assert option.description and not option.description.endswith('.')
     assert option.check(option.default) == option.default
     assert get_option(NodeConfig(), option.name) == option.default
     assert with_option(NodeConfig(), option.name, option.default) == NodeConfig()

@@ -30,7 +30,7 @@ def test_every_option_is_a_parameter_with_its_default_and_limits(tmp_path):
         descriptors = peer.describe_parameters(*NODE_PARAMETERS)
     for option, value, descriptor in zip(NODE_PARAMETERS.values(), values, descriptors):
         assert value == option.default
-        assert descriptor.description == option.help
+        assert descriptor.description == option.description
         assert descriptor.read_only is not option.live
         assert all(choice in descriptor.additional_constraints for choice in option.choices or ())
         limits = [*descriptor.integer_range, *descriptor.floating_point_range]
@@ -66,7 +66,7 @@ def test_changes_take_effect_at_the_next_image(tmp_path):
 
 def test_refusals_name_the_reason_and_change_nothing(tmp_path):
     wrong = {
-        'estimator': ('best', 'estimator is one of pts, moment, pts_epipolar'),
+        'estimator': ('best', 'estimator is one of anchored, pts, moment, pts_epipolar'),
         'view.hfov_deg': (500., 'out of range'),
         'view.yaw_deg': (float('nan'), 'out of range'),
         'view.width': ('wide', 'Wrong parameter type'),

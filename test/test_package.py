@@ -32,6 +32,7 @@ PYTHON_DEPENDENCIES = {
     'numpy': ('numpy', 'python3-numpy'),
     'rosbags': ('rosbags', 'python3-rosbags-pip'),
     'scipy': ('scipy', 'python3-scipy'),
+    'threadpoolctl': ('threadpoolctl', 'python3-threadpoolctl'),
     'tqdm': ('tqdm', 'python3-tqdm'),
 }
 OPTIONAL_MODULES = {'av', 'matplotlib'}

@@ -41,15 +41,18 @@ def call(*args, expect=0):
     assert status == expect
 
 
-def test_the_trajectory_is_that_of_the_camera(turning, turning_bag, tmp_path, capsys):
+@pytest.mark.parametrize('estimator, told', [
+    ('anchored', 'anchored to keyframes'), ('moment', 'chained over 11 steps by moment')])
+def test_the_trajectory_is_that_of_the_camera(
+        turning, turning_bag, tmp_path, capsys, estimator, told):
     """One line for each picture: header stamps to the nanosecond, and R_world_camera."""
-    call(turning_bag, '--trajectory', tmp_path / 'out.tum')
+    call(turning_bag, '--trajectory', tmp_path / 'out.tum', '--estimator', estimator)
     trajectory = read_tum(tmp_path / 'out.tum')
     assert np.array_equal(trajectory.stamps_ns, stamps_of(len(turning[0])))
     assert angles_deg(trajectory.rotations, turning[1]).max() < 0.3
     output = capsys.readouterr().out
-    assert '12 frames' in output and 'chained over 11 steps by moment' in output
-    assert 'drift' in output
+    assert '12 frames' in output and told in output
+    assert ('drift' in output) is (estimator == 'moment')
 
 
 def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):
@@ -280,10 +283,9 @@ def test_as_a_process_it_says_nothing_but_its_result(turning_bag, tmp_path):
 
 @pytest.mark.parametrize('name', ['drone', 'pioneer'])
 def test_the_simulated_recordings_come_out_as_the_truth_says(name, tmp_path):
-    """Trajectory and bag of a whole recording, by the quickest estimator, against its truth."""
+    """Trajectory and bag of a whole recording against its truth."""
     recording = open_recording(BAGS / name)
-    process = start(BAGS / name, tmp_path / 'out', '--trajectory', tmp_path / 'out.tum',
-                    '--estimator', 'pts')
+    process = start(BAGS / name, tmp_path / 'out', '--trajectory', tmp_path / 'out.tum')
     out, error = process.communicate(timeout=600)
     assert (process.returncode, error) == (0, ''), error
 
@@ -292,10 +294,9 @@ def test_the_simulated_recordings_come_out_as_the_truth_says(name, tmp_path):
     R_mocap_camera = (read_truth(recording, TRUTH_TOPIC).at(trajectory.stamps_ns)
                       * R_CAMERA_MARKERS.inv())
     R_true = R_mocap_camera[0].inv() * R_mocap_camera
-    assert angles_deg(R_true, trajectory.rotations).max() < 0.12 * np.rad2deg(
-        R_true.magnitude().max())
+    assert angles_deg(R_true, trajectory.rotations).max() < 1.5
     turns, true_turns = (R[:-1].inv() * R[1:] for R in (trajectory.rotations, R_true))
-    assert np.median(angles_deg(turns, true_turns)) < 0.15
+    assert np.median(angles_deg(turns, true_turns)) < 0.06
 
     results = open_recording(tmp_path / 'out', 'stabilized/image/compressed')
     R_bag = read_truth(results, 'orientation')

@@ -28,7 +28,7 @@ class _State:
     q: np.ndarray
 
     def moved(self, step):
-        """Return the state one step (5,) away: R turned by 3, q moved in its tangent plane by 2."""
+        """Return the state one step (5,) away: R turned by 3, q moved along its tangents by 2."""
         q = self.q + tangent_basis(self.q) @ step[3:]
         return _State(Rotation.from_rotvec(step[:3]) * self.R, q / np.linalg.norm(q))
 

@@ -103,7 +103,8 @@ def decompose(E, pairs):
         candidates.append(Rotation.from_matrix(R * np.sign(np.linalg.det(R))))
     R = min(candidates, key=lambda rotation: rotation.magnitude())
     t = U[:, 2]
-    return R, t * (1. if np.mean(in_front(R, t, pairs)) >= np.mean(in_front(R, -t, pairs)) else -1.)
+    sign = 1. if in_front(R, t, pairs).sum() >= in_front(R, -t, pairs).sum() else -1.
+    return R, sign * t
 
 
 def in_front(R_current_previous, t_current, pairs):

@@ -6,6 +6,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 
 from sph_stab_ros.config import NODE_PARAMETERS, NodeConfig, with_option
 from sph_stab_ros.masks import load_mask
+from sph_stab_ros.trackers import working_width
 
 
 def declare_parameters(node):
@@ -27,7 +28,7 @@ def undeclared_overrides(node):
 def descriptor(option):
     """Return the ParameterDescriptor of an Option."""
     return ParameterDescriptor(
-        description=option.help,
+        description=option.description,
         read_only=not option.live,
         additional_constraints='One of: ' + ', '.join(option.choices) if option.choices else '',
         **_range(option))
@@ -44,7 +45,7 @@ def changed_config(config, parameters):
         if parameter.name in NODE_PARAMETERS:
             changed = with_option(changed, NODE_PARAMETERS[parameter.name].name, parameter.value)
     if changed.tracker != config.tracker:
-        load_mask(changed.tracker.mask, changed.tracker.working_width)
+        load_mask(changed.tracker.mask, working_width(changed.tracker))
     return changed
 
 

@@ -52,7 +52,7 @@ class Flight:
 
     @property
     def frame_times_s(self):
-        """Times (N,) of the frames, the first at zero."""
+        """Return the times (N,) of the frames, the first at zero."""
         return (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
     @property

@@ -49,13 +49,15 @@ def write_recording(path, flight, images, quality=80, force=False):
     Parameters
     ----------
     path : Path
-        The folder; RecordingError if it exists and not ``force``. It appears when complete.
+        The folder; it appears when complete.
     flight : Flight
         Where the stamps and the truth come from.
     images : iterable of array
         BGR (width / 2, width, 3), in order; RecordingError if there are too few or too many.
     quality : int
         Of the JPEG compression, 1 to 100.
+    force : bool
+        Whether to replace the folder; RecordingError if it exists otherwise.
 
     """
     with partial_output(path, force) as partial, BagWriter(partial) as bag:

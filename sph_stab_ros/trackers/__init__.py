@@ -4,17 +4,33 @@
 
 import numpy as np
 
+from sph_stab_ros.config import ANCHORED
 from sph_stab_ros.masks import load_mask
+from sph_stab_ros.trackers.anchored import AnchoredTracker
 from sph_stab_ros.trackers.base import NS_PER_S, TrackedOrientation, Tracker, TrackingStatus
 from sph_stab_ros.trackers.chain import ChainTracker
 
-__all__ = ['ChainTracker', 'make_tracker', 'NS_PER_S', 'TrackedOrientation', 'Tracker',
-           'TrackingStatus']
+# Corners gain from resolution, dense flow costs by it.
+ANCHORED_WIDTH = 960
+CHAIN_WIDTH = 480
+
+__all__ = ['AnchoredTracker', 'ChainTracker', 'make_tracker', 'NS_PER_S', 'TrackedOrientation',
+           'Tracker', 'TrackingStatus', 'working_width']
+
+
+def working_width(config):
+    """Return the width in pixels that images are to be reduced to under a TrackerConfig."""
+    if config.working_width:
+        return config.working_width
+    return ANCHORED_WIDTH if config.estimator == ANCHORED else CHAIN_WIDTH
 
 
 def make_tracker(config, width):
     """Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide."""
+    used = load_mask(config.mask, width)
+    if config.estimator == ANCHORED:
+        return AnchoredTracker(width, used, config.max_prediction_s)
     return ChainTracker(
-        config.estimator, load_mask(config.mask, width), config.max_prediction_s,
+        config.estimator, used, config.max_prediction_s,
         flow=config.flow, flow_updates=config.flow_updates,
         epipolar_bound_rad=np.deg2rad(config.epipolar_bound_deg))

@@ -1,6 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Blender's panoramic camera on the package's conventions, its motion within the exposure.
+"""
+Blender's panoramic camera on the package's conventions, its motion within the exposure.
 
 Blender's camera looks along its own -z with y up; the package's optical frame looks along z with
 y down. `R_OPTICAL_BLENDER` is the half turn about x between them; the panorama's centre then is
@@ -20,7 +21,8 @@ SHUTTER = 0.5  # the exposure in Blender's frames; keyframes stretch it to the w
 
 
 def setup(width, samples, readout_share=0.0):
-    """Set up an empty scene with Cycles and the panoramic camera; return the camera's object.
+    """
+    Set up an empty scene with Cycles and the panoramic camera; return the camera's object.
 
     `readout_share` is the part of the shutter's span in which the rows start one after the
     other from the top (rolling shutter); zero exposes all rows at once.
@@ -99,7 +101,8 @@ def expose(movers, index, t_s, span_s):
 
 
 def stitch(image, error_rad, blend_rad=0.03):
-    """Turn what the rear lens sees (z < 0) by `error_rad` about an oblique axis.
+    """
+    Turn what the rear lens sees (z < 0) by `error_rad` about an oblique axis.
 
     Around the seam the two lenses are blended, which leaves ghosts as real stitching does.
     """

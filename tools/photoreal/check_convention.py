@@ -1,6 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Check the rendered panorama against the package's pixel convention.
+"""
+Check the rendered panorama against the package's pixel convention.
 
 Glowing balls at known places are rendered along a shaking flight, motion blur on; their centroids
 must lie where `pixels_from_bearings` says, within 0.5 px. The last test is the rolling shutter: a

@@ -1,6 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Furniture from coloured primitives.
+"""
+Furniture from coloured primitives.
 
 Every piece takes the kit (a dict of `Shapes` by material name), a place (x, y, yaw) and builds in
 the local frame x along the wall, y into the room, z up.

@@ -39,7 +39,8 @@ def pose_matrix(rotation, position):
 
 
 def ellipse_walk(flight, centre, radii, speed_m_s):
-    """Walk around an ellipse: `t_s` -> (x, y, yaw, metres walked).
+    """
+    Walk around an ellipse: `t_s` -> (x, y, yaw, metres walked).
 
     It starts where the way leads past the camera at a distance of about 1.1 m.
     """

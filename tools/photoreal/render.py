@@ -1,6 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Render a simulated flight photoreal, frame by frame; run again to resume.
+"""
+Render a simulated flight photoreal, frame by frame; run again to resume.
 
 Writes DIR/000000.png and so on, 2:1 equirectangular, the middle of the exposure at the frame's
 stamp. Frames that exist are skipped.

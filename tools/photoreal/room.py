@@ -1,6 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""A room to furnish: plain walls, glossy floor, windows, ceiling panels.
+"""
+A room to furnish: plain walls, glossy floor, windows, ceiling panels.
 
 Its box is that of the flight: x, y around zero, floor at z = 0. Walls are named by the side on
 which they stand; a place on a wall is given by the distance along it from its middle.

@@ -1,6 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""The rooms of the recordings: a lab for the drone, a lobby for the robot, an office for walking.
+"""
+The rooms of the recordings: a lab for the drone, a lobby for the robot, an office for walking.
 
 All are largely plain: texture comes from what stands at the walls, as indoors it does. A bare room
 has walls, windows, doors and lamps, but neither furniture nor posters.

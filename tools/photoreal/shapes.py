@@ -1,6 +1,7 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""Coloured primitives gathered into one Blender mesh per material.
+"""
+Coloured primitives gathered into one Blender mesh per material.
 
 Few large meshes synchronise much faster with Cycles than hundreds of small objects, and a colour
 attribute per corner gives every book and every chair its own paint nevertheless.
@@ -11,7 +12,8 @@ import numpy as np
 
 
 class Shapes:
-    """Boxes, cylinders and ellipsoids of one material, in metres, z up.
+    """
+    Boxes, cylinders and ellipsoids of one material, in metres, z up.
 
     `at` places the local frame in which the following shapes are given.
     """
@@ -93,7 +95,8 @@ class Shapes:
 
 
 def picture(name, material, corners):
-    """Make a quadrilateral showing the material's image.
+    """
+    Make a quadrilateral showing the material's image.
 
     `corners` (4, 3): lower left, lower right, upper right, upper left, as the viewer sees it.
     """

@@ -1,0 +1,53 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""The robot's own body: pixels that stand still in the camera's frame while the world turns."""
+
+import cv2
+import numpy as np
+
+from sph_stab_ros.equirect import pad_sphere
+from sph_stab_ros.trackers.thumbnail import rotation_gradient
+
+WIDTH = 160
+MARGIN_PX = 4
+BLUR_PX = 0.7
+# Pixels that follow less than this share of the world's rotation do not belong to the world.
+MIN_SHARE = 0.5
+# Squared grey values of expected change, 3 × 3 pixels taken together, before that is judged.
+MIN_EVIDENCE = 300.0
+# Of the evidence per frame in which anything moves.
+MEMORY = 0.98
+MIN_STEP_RAD = np.deg2rad(0.1)
+
+
+class StillPixels:
+    """
+    Learns from frame to frame which pixels of a camera never move.
+
+    A pixel of the world changes by ``ΔI ≈ −ω · (x × ∇I)`` as the camera turns the world by ω. The
+    share of that which really happens, fitted over time, is 1 for the world and 0 for the body.
+    """
+
+    def __init__(self):
+        self._small = None
+        self._happened = np.zeros((WIDTH // 2, WIDTH), np.float32)
+        self._evidence = np.zeros_like(self._happened)
+        self.mask = np.zeros(self._happened.shape, bool)
+
+    def update(self, grey, R_current_previous):
+        """Take in the next grey sphere (H, W), or after a None rotation one to start from."""
+        small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
+        small = cv2.GaussianBlur(pad_sphere(small.astype(np.float32), MARGIN_PX), (0, 0), BLUR_PX)
+        previous, self._small = self._small, small
+        if previous is None or R_current_previous is None:
+            return
+        omega = R_current_previous.as_rotvec().astype(np.float32)
+        if np.linalg.norm(omega) < MIN_STEP_RAD:
+            return
+        inside = slice(MARGIN_PX, -MARGIN_PX)
+        expected = -rotation_gradient((small + previous) / 2, MARGIN_PX) @ omega
+        change = (small - previous)[inside, inside]
+        self._happened = MEMORY * self._happened + cv2.blur(expected * change, (3, 3)) * 9
+        self._evidence = MEMORY * self._evidence + cv2.blur(expected * expected, (3, 3)) * 9
+        still = (self._happened < MIN_SHARE * self._evidence) & (self._evidence > MIN_EVIDENCE)
+        self.mask = cv2.dilate(still.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

@@ -1,0 +1,88 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Coarse alignment of two tiny spheres by their grey values: a start for everything finer."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.equirect import bearing_grid, pad_sphere, pixels_from_bearings, row_solid_angles
+
+WIDTH = 64
+BLUR_PX = 1.0
+# Rows nearer to the poles than this have no usable gradient along longitude.
+MAX_LATITUDE_RAD = np.deg2rad(75)
+ITERATIONS = 10
+STEP_TOLERANCE_RAD = 1e-3
+# Grey values are scaled to unit variance; residuals beyond this count less (Huber).
+HUBER = 0.5
+
+
+class Thumbnail:
+    """A grey sphere (H, W) reduced to 32 × 64, of zero mean and unit variance."""
+
+    def __init__(self, grey):
+        small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
+        margin_px = 4
+        blurred = cv2.GaussianBlur(pad_sphere(small.astype(np.float32), margin_px), (0, 0), BLUR_PX)
+        contrast = blurred.std()
+        self.padded = (blurred - blurred.mean()) / max(contrast, 1.)
+        self.margin_px = margin_px
+        self.image = self.padded[margin_px:-margin_px, margin_px:-margin_px]
+
+
+def align(reference, current, R_current_reference):
+    """
+    Return the R_current_reference that makes two Thumbnails agree, starting from a guess.
+
+    Gauss–Newton on ``Σ w ρ(I_c(R x) − I_r(x))``, inverse compositional: the gradient of the
+    reference, ``∂I_r(exp(ω) x)/∂ω = x × ∇I_r``, is used throughout.
+    """
+    rows, weights = _rows_used()
+    grid = bearing_grid(WIDTH)[rows].reshape(-1, 3)
+    J = rotation_gradient(reference.padded, reference.margin_px)[rows].reshape(-1, 3)
+    expected = reference.image[rows].ravel()
+    R = R_current_reference
+    for _ in range(ITERATIONS):
+        uv = pixels_from_bearings(grid @ R.as_matrix().T.astype(np.float32), WIDTH)
+        uv = (uv + current.margin_px).astype(np.float32)
+        seen = cv2.remap(current.padded, uv[:, 0], uv[:, 1], cv2.INTER_LINEAR).ravel()
+        residual = seen - expected
+        w = weights * np.minimum(1, HUBER / np.maximum(np.abs(residual), 1e-6))
+        weighted = w[:, None] * J
+        omega = np.linalg.lstsq(weighted.T @ J, weighted.T @ residual, rcond=1e-6)[0]
+        R = R * Rotation.from_rotvec(-omega.astype(float))
+        if np.linalg.norm(omega) < STEP_TOLERANCE_RAD:
+            break
+    return R
+
+
+@lru_cache(maxsize=1)
+def _rows_used():
+    """Return the rows used and the weights (N,) of their pixels."""
+    lat = np.pi / 2 - (np.arange(WIDTH // 2) + 0.5) * 2 * np.pi / WIDTH
+    rows = np.abs(lat) < MAX_LATITUDE_RAD
+    return rows, np.repeat(row_solid_angles(WIDTH)[rows], WIDTH).astype(np.float32)
+
+
+def rotation_gradient(padded, margin_px):
+    """Return x × ∇I (H, W, 3) of a padded sphere, ∇I its gradient along the sphere per radian."""
+    m = margin_px
+    width = padded.shape[1] - 2 * m
+    px_per_rad = np.float32(width / (2 * np.pi))
+    along_u = cv2.Scharr(padded, cv2.CV_32F, 1, 0)[m:-m, m:-m] * (px_per_rad / 32)
+    along_v = cv2.Scharr(padded, cv2.CV_32F, 0, 1)[m:-m, m:-m] * (px_per_rad / 32)
+    per_u, per_v = _turned_directions(width)
+    return along_u[..., None] * per_u + along_v[..., None] * per_v
+
+
+@lru_cache(maxsize=2)
+def _turned_directions(width):
+    """Return x × east / cos lat and x × south, each (H, W, 3) float32, of every pixel."""
+    x = bearing_grid(width)
+    cos_lat = np.maximum(np.hypot(x[..., 0], x[..., 2]), 1e-3)[..., None]
+    east = np.stack((x[..., 2], np.zeros_like(x[..., 0]), -x[..., 0]), axis=-1) / cos_lat
+    south = np.cross(x, east)
+    return south / cos_lat, -east
