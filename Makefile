@@ -3,14 +3,16 @@
 
 PYTHON ?= python3
 LOGS ?= ../shared/data/rotation_logs
+FRAMES ?= frames
 PY := .venv/bin/python
+EVALUATE := $(PY) -m sph_stab_ros.evaluate --flows farneback,dis
 
 # The virtual environments bring their own ROS 2; one that the shell has sourced must not mix in.
 unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
-.PHONY: help setup demo test test-oldest bags constraints clean
+.PHONY: help setup demo test test-oldest benchmark bags constraints clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-14s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -23,15 +25,26 @@ demo: setup  ## Play bags/drone through the node; leaves a video and a plot in r
 test: setup  ## Run all tests
 	$(PY) -m pytest
 
+# Pioneer's motion does not tell how the markers sit on its camera; this is how they do.
+evaluation: setup  ## Compare all estimators on the recordings, within half an hour
+	mkdir -p results/evaluation
+	$(EVALUATE) bags/drone --json results/evaluation/drone.json --plots results/evaluation/drone
+	$(EVALUATE) bags/pioneer --json results/evaluation/pioneer.json \
+	    --plots results/evaluation/pioneer --mount=-7.182,-3.661,-2.975
+
 test-oldest: AMENT_PREFIX_PATH = $(CURDIR)/.venv-oldest
 test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported NumPy, OpenCV, ...
 	.venv-oldest/bin/python -m pytest
 
-bags: setup  ## Simulate the recordings in bags anew; LOGS names the folder of rotation logs
-	$(PY) -m sph_stab_ros.simulation drone bags/drone --force --logs '$(LOGS)' \
-	    --first-frame 150 --frames-limit 150
-	$(PY) -m sph_stab_ros.simulation pioneer bags/pioneer --force --logs '$(LOGS)' \
-	    --frames-limit 150
+benchmark: setup  ## Time all stages and pipelines; leaves the figures in results/benchmark
+	mkdir -p results/benchmark
+	$(PY) -m sph_stab_ros.benchmark --json results/benchmark/benchmark.json
+
+bags: setup  ## Write the recordings in bags anew from pictures by tools/photoreal in FRAMES
+	$(PY) -m sph_stab_ros.simulation drone bags/drone --force \
+	    --logs '$(LOGS)' --frames '$(FRAMES)/drone'
+	$(PY) -m sph_stab_ros.simulation pioneer bags/pioneer --force --frames-limit 300 \
+	    --logs '$(LOGS)' --frames '$(FRAMES)/pioneer'
 
 constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 	uv pip compile --universal --python-version 3.10 --all-extras --no-annotate --upgrade \

@@ -4,6 +4,7 @@
 
 import argparse
 import logging
+import os
 import signal
 import sys
 
@@ -75,5 +76,9 @@ def run(name, command):
         return 1
     except KeyboardInterrupt:
         print(f'{name}: interrupted', file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # Whoever read the output has seen enough; Python must not flush the rest either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return 0

@@ -64,7 +64,7 @@ def test_solid_angles_add_up_to_the_sphere(width):
 @pytest.mark.parametrize('channels', ((), (3,)))
 @pytest.mark.parametrize('margin_px', (1, 7))
 def test_padding_continues_the_sphere(channels, margin_px):
-    """Every padded pixel holds what lies at its bearing: the image of pixel numbers shows which."""
+    """Every padded pixel holds what lies at its bearing: an image of pixel numbers tells."""
     width, height = 64, 32
     numbers = np.arange(width * height).reshape(height, width)
     image = np.broadcast_to(numbers.reshape(height, width, *[1] * len(channels)),

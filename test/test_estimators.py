@@ -5,12 +5,12 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic import angle_deg, point_pairs, random_rotation, unit
 
 from sph_stab_ros.estimators import (
     BearingPairs, fit_epipolar, fit_essential, fit_moment, FitStatus)
 from sph_stab_ros.estimators import epipolar, essential, moment
 from sph_stab_ros.estimators.base import weighted_median
+from synthetic import angle_deg, point_pairs, random_rotation, unit
 
 
 def fit_pts_epipolar(pairs):

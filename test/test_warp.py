@@ -12,8 +12,9 @@ from sph_stab_ros.warp import (
     equirect_warp, focal_length_px, perspective_view, perspective_warp, rotate_equirect,
     TOLERANCE_PX, view_rotation)
 
-ROTATIONS = [Rotation.identity(), *Rotation.random(4, random_state=1),
-             Rotation.from_euler('X', 90, degrees=True), Rotation.from_euler('Y', 180, degrees=True)]
+ROTATIONS = [
+    Rotation.identity(), *Rotation.random(4, random_state=1),
+    Rotation.from_euler('X', 90, degrees=True), Rotation.from_euler('Y', 180, degrees=True)]
 
 
 def smooth_sphere(width, R_world_camera=Rotation.identity()):

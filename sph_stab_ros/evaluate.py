@@ -1,0 +1,274 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""Evaluate estimators against a recording's truth, or against rotations injected into it."""
+
+from argparse import ArgumentTypeError, Namespace
+from contextlib import ExitStack
+import importlib
+from itertools import product
+import json
+import logging
+from pathlib import Path
+import sys
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.alignment import EvaluationError, R_FLU_OPTICAL
+from sph_stab_ros.command_line import Parser, run, tracker_config
+from sph_stab_ros.config import ANCHORED, options, StabilizerConfig, TrackerConfig
+from sph_stab_ros.evaluation import evaluate_against_truth, evaluate_injected
+from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.trajectory import NS_PER_S
+from sph_stab_ros.truth import find_truth_topic, read_truth
+from sph_stab_ros.warp import view_rotation
+
+from tqdm import tqdm
+from tqdm.contrib.logging import logging_redirect_tqdm
+
+logger = logging.getLogger(__name__)
+
+OPTIONS = {one.name: one for one in options(TrackerConfig)}
+ESTIMATORS, FLOWS = OPTIONS['estimator'].choices, OPTIONS['flow'].choices
+WITHOUT_FLOW = (ANCHORED, 'pts')
+# Turns of truth and estimate that differ by more do not belong together.
+MAX_RESIDUAL_RATIO = 1 / 3
+MIN_DOUBTED_RAD = np.deg2rad(1)
+
+
+def evaluate(args, configs):
+    """Do what the command line says."""
+    recording = open_recording(args.recording, args.image_topic)
+    frames = min(filter(None, (recording.frame_count, args.max_frames)), default=None)
+    if args.plots:
+        make_plots_folder(args.plots)
+
+    def progress(name, pictures):
+        # Shown on terminals only.
+        return tqdm(pictures, name, frames, unit=' frames', disable=None)
+
+    with ExitStack() as stack:
+        if args.json:
+            file = stack.enter_context(partial_output(args.json, force=True))
+        stack.enter_context(logging_redirect_tqdm())
+        if args.inject is None:
+            topic = args.truth or find_truth_topic(recording)
+            truth = read_truth(recording, topic)
+            alignment, errors, figures = evaluate_against_truth(
+                recording, configs, truth, args.mount, args.clock_offset, args.max_frames,
+                progress)
+            about = {'truth': topic, **describe(alignment, args.mount is not None)}
+            print(f'{recording.name}: {len(truth)} true orientations in {topic}')
+            for line in alignment_lines(about, args.clock_offset is None):
+                print(line)
+            warn(recording.name, alignment)
+        else:
+            if frames is None or frames < 2:
+                raise EvaluationError('--inject needs two frames or more'
+                                      if frames else 'unknown length, add --max-frames N')
+            errors, figures = evaluate_injected(
+                recording, configs, args.inject, frames, progress)
+            about = {'injected_seed': args.inject}
+            print(f'{recording.name}: turned by the known rotations of seed {args.inject}; of the '
+                  'clip itself these turns were found: ' + ', '.join(
+                      f'{name} {one["clip_turn_deg"]:.1f} deg' for name, one in figures.items()))
+        left_out = max(one['frames_not_evaluated'] for one in figures.values())
+        if left_out:
+            print(f'{left_out} frames are not evaluated: before, after or in a gap of the truth, '
+                  'or with a stamp that goes back')
+        for line in table(figures):
+            print(line)
+        if args.json:
+            file.write_text(json.dumps(
+                {'recording': recording.name, **about, 'estimators': figures}, indent=2) + '\n')
+    if args.plots:
+        draw(args.plots, recording, errors)
+
+
+def table(figures):
+    """Yield the lines of a table of figures by estimator."""
+    rows = [('estimator', 'roll', 'pitch', 'yaw', 'mean', 'max', 'end', 'median', 'p95', 'max',
+             'drift', 'time', 'frames', 'lost'),
+            ('', *3 * ('|deg|',), *6 * ('deg',), 'deg/min', 'ms', '', '')]
+    for name, one in figures.items():
+        degrees = (one[group][key] for group, keys in (
+            ('mean_abs_error_deg', ('roll', 'pitch', 'yaw')),
+            ('geodesic_deg', ('mean', 'max', 'end')),
+            ('per_frame_deg', ('median', 'p95', 'max'))) for key in keys)
+        rows.append((name, *(f'{value:.3f}' for value in degrees),
+                     f'{one["drift_deg_per_min"]:.2f}', f'{one["ms_per_frame"]:.1f}',
+                     f'{one["frames"]}', f'{one["lost_frames"]}'))
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    groups = (sum(widths[i:i + 3]) + 4 for i in (1, 4, 7))
+    titles = ('mean absolute', 'geodesic', 'per frame')
+    yield '  '.join((widths[0] * ' ', *map(str.center, titles, groups))).rstrip()
+    for name, *cells in rows:
+        yield '  '.join((name.ljust(widths[0]), *map(str.rjust, cells, widths[1:]))).rstrip()
+
+
+def describe(alignment, mount_given):
+    """Return the Alignment as figures; the mount's angles as ``--mount`` takes them."""
+    yaw, pitch, roll = (R_FLU_OPTICAL.inv() * alignment.R_body_camera).as_euler(
+        'YXZ', degrees=True).tolist()
+    return {
+        'mount': {
+            'source': 'given' if mount_given else
+                      'solved' if alignment.mount_solved else 'assumed',
+            'yaw_deg': -yaw, 'pitch_deg': pitch, 'roll_deg': roll},
+        'clock_offset_s': alignment.clock_offset_ns / NS_PER_S,
+    }
+
+
+def alignment_lines(about, clock_solved):
+    """Yield lines for people of what ``describe`` returned."""
+    mount = about['mount']
+    if mount['source'] == 'assumed':
+        yield ('mount: cannot be solved for, the motion does not span two axes; assumed is a '
+               'camera that looks forward on a REP 103 body (another: --mount YAW,PITCH,ROLL)')
+    else:
+        yield (f'mount, {mount["source"]}: on the body the camera looks {mount["yaw_deg"]:.2f} '
+               f'deg to the left, {mount["pitch_deg"]:.2f} up, rolled by {mount["roll_deg"]:.2f}')
+    how = 'found' if clock_solved else 'given'
+    yield f'clock offset, {how}: {about["clock_offset_s"]:+.4f} s (stamps of truth minus images)'
+
+
+def warn(name, alignment):
+    """Say so if truth and estimate do not turn alike."""
+    if alignment.residual_rad > max(MAX_RESIDUAL_RATIO * alignment.turn_rad, MIN_DOUBTED_RAD):
+        residual_deg, turn_deg = np.rad2deg((alignment.residual_rad, alignment.turn_rad))
+        logger.warning(
+            '%s: truth and the best estimate turn differently, by %.1f of %.1f deg in a second; '
+            'the wrong topic, clock, mount or convention?', name, residual_deg, turn_deg)
+
+
+def draw(folder, recording, errors):
+    """Write the figures: of the errors, and of flow on the sphere as the paper shows it."""
+    from sph_stab_ros import figures, plots
+    plots.draw(folder, recording.name, errors)
+    example = figures.find_example(recording, max(len(one.time_s) for one in errors.values()))
+    if example is None:
+        logger.warning('%s: no pictures of enough parallax for the figures of flow',
+                       recording.name)
+    else:
+        figures.draw(folder, recording.name, example)
+
+
+def make_plots_folder(folder):
+    """Make the folder and see that figures can be drawn, before all the work is done."""
+    try:
+        folder.mkdir(exist_ok=True)
+        importlib.import_module('matplotlib')
+    except OSError as error:
+        raise RecordingError(f'{folder} cannot be written: {error.strerror}') from error
+    except ImportError:
+        raise RecordingError(
+            "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
+
+
+def mount_argument(text):
+    """Return R_body_camera from ``yaw,pitch,roll`` in degrees or a quaternion ``x,y,z,w``."""
+    try:
+        values = np.array(text.split(','), float)
+        if np.isfinite(values).all() and len(values) == 4:
+            return Rotation.from_quat(values)
+        if np.isfinite(values).all() and len(values) == 3:
+            return R_FLU_OPTICAL * view_rotation(*np.deg2rad(values))
+    except ValueError:
+        pass
+    raise ArgumentTypeError(f"'{text}' is neither yaw,pitch,roll in degrees nor qx,qy,qz,qw")
+
+
+def clock_argument(text):
+    """Return nanoseconds from seconds, None from ``auto``."""
+    try:
+        return None if text == 'auto' else round(float(text) * NS_PER_S)
+    except (ValueError, OverflowError):
+        raise ArgumentTypeError(f"'{text}' is neither auto nor a number of seconds") from None
+
+
+def names_argument(known):
+    """Return a converter of a comma-separated list of names, each in ``known``."""
+    def convert(text):
+        names = list(dict.fromkeys(text.split(',')))
+        for name in names:
+            if name not in known:
+                raise ArgumentTypeError(f"'{name}' is none of {', '.join(known)}")
+        return names
+    return convert
+
+
+def output_argument(text):
+    """Return the path of an output, whose folder must exist."""
+    path = Path(text)
+    if not path.absolute().parent.is_dir():
+        raise ArgumentTypeError(f"there is no folder '{path.parent}'")
+    return path
+
+
+def arguments(argv):
+    """Return the parsed command line and StabilizerConfigs by name; exit 2 on a wrong call."""
+    parser = Parser(prog='evaluate', description=__doc__)
+    parser.add_argument('recording', metavar='REC', type=Path,
+                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    parser.add_argument('--estimators', metavar='A,B,...', type=names_argument(ESTIMATORS),
+                        default=ESTIMATORS, help=f'of {", ".join(ESTIMATORS)} (default: all)')
+    parser.add_argument('--flows', metavar='A,B', type=names_argument(FLOWS),
+                        help=f'each estimator with each of {", ".join(FLOWS)} '
+                        f'(default: {TrackerConfig.flow})')
+    parser.add_argument('--truth', metavar='TOPIC',
+                        help='PoseStamped, QuaternionStamped, TransformStamped, Odometry or Imu '
+                        '(default: the one there is)')
+    parser.add_argument('--mount', metavar='YAW,PITCH,ROLL', type=mount_argument,
+                        help="where the camera looks on the truth's body, in degrees to the left, "
+                        'up, clockwise, or as a quaternion x,y,z,w of the optical frame; '
+                        '--mount=-30,0,0 with = before a minus (default: solved for)')
+    parser.add_argument('--clock-offset', metavar='auto|SECONDS', type=clock_argument, default=0,
+                        help="the truth's stamps minus the images' (default: 0)")
+    parser.add_argument('--inject', metavar='SEED', type=int,
+                        help='need no truth: turn the footage by known rotations')
+    parser.add_argument('--image-topic', metavar='TOPIC',
+                        help='where the images are in a bag with several image topics')
+    parser.add_argument('--max-frames', metavar='N', type=int, help='stop after N pictures')
+    parser.add_argument('--json', metavar='FILE', type=output_argument,
+                        help='write the figures, replacing the file')
+    parser.add_argument('--plots', metavar='DIR', type=output_argument,
+                        help='draw figures into a folder')
+    for name, option in OPTIONS.items():
+        if name not in ('estimator', 'flow'):
+            parser.add_argument(
+                '--' + name.replace('_', '-'), type=type(option.default), default=option.default,
+                metavar='VALUE', help=f'{option.description} (default: %(default)s)')
+    args = parser.parse_args(argv)
+    if args.max_frames is not None and args.max_frames < 1:
+        parser.error('--max-frames must be at least 1')
+    if args.json and args.json.is_dir():
+        parser.error(f"--json needs a file, '{args.json}' is a folder")
+    if args.inject is not None:
+        if args.truth or args.mount is not None or args.clock_offset != 0:
+            parser.error('--inject needs no --truth, --mount or --clock-offset')
+        if args.inject < 0:
+            parser.error('--inject needs a SEED of 0 or more')
+    configs = {}
+    for estimator, flow in product(args.estimators, args.flows or [TrackerConfig.flow]):
+        name = f'{estimator}/{flow}' if args.flows and estimator not in WITHOUT_FLOW else estimator
+        configs[name] = StabilizerConfig(tracker=tracker_config(
+            parser, Namespace(**vars(args), estimator=estimator, flow=flow)))
+    return args, configs
+
+
+def main(argv=None):
+    """Run the command line; return the exit status."""
+    args, configs = arguments(argv)
+
+    def command():
+        try:
+            evaluate(args, configs)
+        except EvaluationError as error:
+            raise RecordingError(f'{args.recording.name}: {error}') from error
+
+    return run('evaluate', command)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,91 @@
+# Copyright 2026 The sph_stab_ros developers
+# SPDX-License-Identifier: Apache-2.0
+"""
+Evaluation without truth: real footage turned by known rotations.
+
+Frame i of a clip is rendered as a camera turned by ``R_camera_shaken[i]`` would have seen it. Of
+whatever orientation an estimator finds for the clip itself, that of the shaken clip must be the
+same composed with what was injected::
+
+    R_world_shaken = R_world_camera R_camera_shaken
+
+Both are estimated by the same estimator, so that only what the injection changes counts: an error
+that both make alike, such as a slow drift or locking onto the robot's own body, does not show.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.equirect import bearing_grid, pad_sphere, pixels_from_bearings
+from sph_stab_ros.warp import view_rotation
+
+# Yaw, pitch, roll.
+PEAKS_DEG = (25., 12., 15.)
+SIGMAS_FRAMES = (12., 8., 8.)
+# Lanczos over 8×8 pixels reads up to four pixels beyond the image.
+MARGIN_PX = 4
+
+
+def injected_rotations(seed, frames):
+    """
+    Return the rotations R_camera_shaken to inject, one for each of ``frames`` ≥ 2 frames.
+
+    Yaw, pitch and roll are Gaussian-smoothed noise that starts at zero and peaks at PEAKS_DEG.
+    """
+    rng = np.random.default_rng(seed)
+    angles = []
+    for peak_deg, sigma in zip(PEAKS_DEG, SIGMAS_FRAMES):
+        noise = gaussian_filter1d(rng.standard_normal(frames), sigma)
+        noise -= noise[0]
+        angles.append(np.deg2rad(peak_deg) * noise / np.abs(noise).max())
+    return Rotation.concatenate([view_rotation(*one) for one in zip(*angles)])
+
+
+def turned(image, R_source_target):
+    """
+    Return the sphere ``image`` (H, W[, C]) as a camera turned by ``R_source_target`` sees it.
+
+    Slower than ``rotate_equirect`` and as exact as can be: no interpolation of the map, Lanczos'
+    of the picture.
+    """
+    width = image.shape[1]
+    uv = pixels_from_bearings(
+        bearing_grid(width) @ R_source_target.as_matrix().astype(np.float32).T, width) + MARGIN_PX
+    return cv2.remap(pad_sphere(image, MARGIN_PX), uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4)
+
+
+class ShakenStabilizer:
+    """
+    Two Stabilizers side by side, one for a clip, one for the clip with rotations injected.
+
+    Parameters
+    ----------
+    clip, shaken : Stabilizer
+    R_camera_shaken : Rotation
+        What to inject, one for each frame to come.
+
+    """
+
+    def __init__(self, clip, shaken, R_camera_shaken):
+        self._clip = clip
+        self._shaken = shaken
+        self._R_camera_shaken = R_camera_shaken
+        self._R_world_camera = []
+
+    def process(self, frame):
+        """Process a Frame twice; return the StabilizedFrame of the shaken one."""
+        R_camera_shaken = self._R_camera_shaken[len(self._R_world_camera)]
+        self._R_world_camera.append(self._clip.process(frame).R_world_camera)
+        return self._shaken.process(replace(frame, image=turned(frame.image, R_camera_shaken)))
+
+    def clip_rotations(self):
+        """Return R_world_camera, as found in the clip itself, of the frames so far."""
+        return Rotation.concatenate(self._R_world_camera)
+
+    def true_rotations(self):
+        """Return R_world_shaken, as it should be found, of the frames so far."""
+        return self.clip_rotations() * self._R_camera_shaken[:len(self._R_world_camera)]
