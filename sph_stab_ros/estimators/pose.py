@@ -18,8 +18,8 @@ ITERATIONS = 10
 STEP_TOLERANCE = 1e-5
 # Cauchy's constant: residuals of this many standard deviations count half.
 CAUCHY = 2.0
-# From the median length of a two-dimensional normal vector to the deviation per axis.
-MEDIAN_TO_SIGMA = 1 / 1.1774
+# Median lengths of normal vectors of one and two dimensions: a free depth takes one away.
+MEDIAN_1D, MEDIAN_2D = 0.6745, 1.1774
 # No motion between two frames moves the position further; fixes what no point does.
 POSITION_SIGMA = 3.0
 MIN_SCALE = 1e-2
@@ -65,13 +65,15 @@ def fit_pose(x, y, whitening, inverse_depths, information, position):
 
     """
     R, p, rho = np.eye(3), position, inverse_depths
+    known = np.ones(len(x))
     for _ in range(ITERATIONS):
         z = (x - rho[:, None] * p) @ R.T
         length = np.sqrt(np.einsum('ni,ni->n', z, z))
         b = z / length[:, None]
         r = np.einsum('kni,ni->kn', whitening, b - y)
         size = np.sqrt(np.einsum('kn,kn->n', r, r))
-        scale = max(MEDIAN_TO_SIGMA * np.median(size), MIN_SCALE)
+        expected = MEDIAN_1D + (MEDIAN_2D - MEDIAN_1D) * known
+        scale = max(np.median(size / expected), MIN_SCALE)
         weights = 1 / (1 + (size / (CAUCHY * scale)) ** 2)
         w = weights / scale ** 2
 
@@ -88,11 +90,11 @@ def fit_pose(x, y, whitening, inverse_depths, information, position):
         H_pr = np.einsum('ikn,kn->in', wJ, J_rho)
         seen = w * np.einsum('kn,kn->n', J_rho, J_rho)
         H_rr = information + seen
+        known = information / H_rr
         g_r = w * np.einsum('kn,kn->n', J_rho, r) + information * (rho - inverse_depths)
         H = wJ.reshape(6, -1) @ J.reshape(6, -1).T - (H_pr / H_rr) @ H_pr.T
         H[3:, 3:] += np.eye(3) / POSITION_SIGMA ** 2
         g = wJ.reshape(6, -1) @ r.ravel() - H_pr @ (g_r / H_rr)
-        g[3:] += p * 0
         step = -np.linalg.solve(H, g)
         # A point behind the camera has no inverse depth; at infinity it has zero.
         rho = np.maximum(rho - (g_r + step @ H_pr) / H_rr, 0.)

@@ -1,111 +1,253 @@
 # Copyright 2026 The sph_stab_ros developers
 # SPDX-License-Identifier: Apache-2.0
-"""v1."""
+"""
+The anchored tracker: corners followed against keyframes in the stabilised picture.
+
+Each frame is turned into the world as predicted, and shifted by the parallax as predicted, so that
+little is left to follow; and it is compared with a keyframe instead of with the frame before, so
+that errors do not add up.
+"""
+
 import numpy as np
 from scipy.spatial.transform import Rotation
-from dataclasses import dataclass
-from sph_stab_ros.estimators.pose import fit_pose
-from sph_stab_ros.equirect import pixels_from_bearings
-from sph_stab_ros.trackers.band import Band, follow
-from sph_stab_ros.trackers.base import NS_PER_S, TrackedOrientation, TrackingStatus
-from sph_stab_ros.trackers.still_pixels import StillPixels
-from sph_stab_ros.trackers.thumbnail import align, Thumbnail
-PRIOR_INFORMATION = 1.0
-MEMORY = 0.8
-SIGMA_DEPTH_PX = 0.5
-MAX_INFORMATION = 1e4
-BODY=True
-YOUNG=.1
-MAX_AGE=30.
-CARRY_X=True
-MIN_POINTS = 25
-SIGMA0_PX=0.2
-MIN_WEIGHT = 0.1
-MIN_SURVIVORS = 0.5
-MAX_PARALLAX_RAD = 0.05
-CARRY_INFORMATION=0.5
-GOOD_PREDICTION_RAD = np.deg2rad(0.7)
-@dataclass
-class Keyframe:
-    image: np.ndarray
-    uv: np.ndarray
-    x: np.ndarray
-    rho: np.ndarray
-    information: np.ndarray
-    number: int
-    root: np.ndarray
-    age: np.ndarray
-class AnchoredTracker:
-    def __init__(self, width, used=None, max_prediction_s=0.5):
-        self._band = Band(width); self.reset()
-    def reset(self):
-        self._key=None; self._R_world_camera = Rotation.identity(); self._step=Rotation.identity(); self._number=0
-        self.log=[]; self._still=StillPixels()
-    def track(self, grey, stamp_ns):
-        thumb=Thumbnail(grey)
-        R=self._R_world_camera; status=TrackingStatus.OK
-        if self._key is None:
-            self._add(grey,R)
-        else:
-            R = R * align(self._thumb, thumb, self._step.inv()).inv()
-            for _ in range(3):
-                image=self._band.look(grey,R); fit=self._fit(image,R)
-                if fit is None: break
-                R = fit.R.inv()*R
-                if fit.R.magnitude()<GOOD_PREDICTION_RAD: break
-            if fit is None:
-                status=TrackingStatus.PREDICTED; self._inl=None; self._add(grey,R)
-            else:
-                self._p=fit.position
-                par=np.median(np.linalg.norm(self._y-self._key.x[self._idx],axis=1))
-                self.log.append((self._number,len(self._idx),len(self._inl),fit.scale,par))
-                if len(self._inl)<MIN_SURVIVORS*len(self._key.x) or par>MAX_PARALLAX_RAD: self._add(grey,R)
-        self._step=self._R_world_camera.inv()*R
-        self._still.update(grey,self._step.inv())
-        self._R_world_camera=R; self._thumb=thumb
-        return TrackedOrientation(R,status)
-    def _fit(self,image,R):
-        k=self._key
-        uv,found=follow(k.image,image,k.uv,self._uv_now); found&=self._band.contains(uv)
-        found&=self._allowed(self._band.bearings(uv),R)
-        idx=np.flatnonzero(found)
-        if len(idx)<MIN_POINTS: return None
-        y=self._band.bearings(uv[idx])
-        fit=fit_pose(k.x[idx],y,self._band.whitening(y,k.root[idx])*np.sqrt((k.age[idx]+YOUNG)/(k.age[idx]+1))[:,None],k.rho[idx],k.information[idx],self._p)
-        ok=fit.weights>MIN_WEIGHT
-        if ok.sum()<MIN_POINTS: return None
-        self._y=fit.R.inv().apply(y); self._idx=idx; self._inl=idx[ok]
-        k.rho[self._inl]=fit.inverse_depths[ok]
-        if CARRY_X:
-            z=k.x[idx]-fit.inverse_depths[:,None]*fit.position; l=np.linalg.norm(z,axis=1,keepdims=True)
-            gain=np.minimum(1.,fit.weights*2)/(k.age[idx]+1)
-            k.x[idx]+=(gain[:,None]*(self._y*l-z)); k.x[idx]/=np.linalg.norm(k.x[idx],axis=1,keepdims=True)
-            k.age[idx]=np.minimum(k.age[idx]+1,MAX_AGE)
-        noise=fit.scale*SIGMA0_PX
-        k.information[self._inl]=np.minimum(np.maximum(MEMORY*k.information[self._inl],PRIOR_INFORMATION)+fit.information[ok]*min(1,noise/SIGMA_DEPTH_PX)**2,MAX_INFORMATION)
-        now=self._band.pixels(self._y); now[:,0]+=np.rint((uv[idx,0]-now[:,0])/self._band.width)*self._band.width
-        self._uv_now=self._uv_now.copy(); self._uv_now[idx]=now
-        return fit
-    def _add(self,grey,R):
-        image=self._band.look(grey,R)
-        c=np.empty((0,2),np.float32); rho=info=age=np.empty(0); xc=np.empty((0,3))
-        if self._key is not None and self._inl is not None:
-            k,i=self._key,self._inl
-            c=self._uv_now[i].copy(); z=k.x[i]-k.rho[i,None]*self._p; n=np.linalg.norm(z,axis=1); xc=z/n[:,None]; age=k.age[i]
-            rho=k.rho[i]/n; info=k.information[i]*n**2*CARRY_INFORMATION
-            c[:,0]=(c[:,0]-48)%self._band.width+48
-            s=1/max(np.median(rho),1e-3); rho=rho*s; info=info/s**2
-        new=self._band.corners(image,c)
-        new=new[self._allowed(self._band.bearings(new),R)]
-        uv=np.concatenate((c,new)).astype(np.float32)
-        xn=self._band.bearings(uv)
-        if CARRY_X: xn[:len(c)]=xc
-        age=np.concatenate((age,np.full(len(new),0. if self._key is not None else MAX_AGE)))
-        self._key=Keyframe(image,uv,xn,np.concatenate((rho,np.ones(len(new)))),np.concatenate((info,np.full(len(new),PRIOR_INFORMATION))),self._number,self._band.root_information(image,uv),age)
-        self._number+=1; self._uv_now=uv.copy(); self._p=np.zeros(3)
 
-    def _allowed(self,bearings,R):
-        if not len(bearings) or not BODY: return np.ones(len(bearings),bool)
-        uv=pixels_from_bearings(R.inv().apply(bearings),160)
-        i,j=np.clip(np.rint(uv[:,::-1]).astype(int),0,(79,159)).T
-        return ~self._still.mask[i,j]
+from sph_stab_ros.equirect import pixels_from_bearings
+from sph_stab_ros.flow import has_texture
+from sph_stab_ros.trackers.band import Band, MARGIN_PX
+from sph_stab_ros.trackers.base import NS_PER_S, TrackedOrientation, TrackingStatus
+from sph_stab_ros.trackers.keyframe import Keyframe, MIN_POINTS, MIN_WEIGHT, PRIOR_INFORMATION
+from sph_stab_ros.trackers.still_pixels import StillPixels
+from sph_stab_ros.trackers.thumbnail import align, difference, Thumbnail
+
+# A keyframe is replaced when fewer of its points are found, or when they have moved further.
+MIN_SURVIVORS = 0.5
+MAX_PARALLAX_RAD = 0.08
+# Prediction errors beyond this are taken out of the picture and the corners followed once more.
+GOOD_PREDICTION_RAD = np.deg2rad(0.7)
+MAX_ATTEMPTS = 3
+# A fit by fewer of the points that were followed shows something else.
+MIN_AGREEMENT = 0.3
+POOL_SIZE = 32
+# Mean difference of thumbnails of one place, in standard deviations of their grey values.
+SAME_PLACE = 0.15
+# After a loss the last keyframes are tried, from these headings.
+MAX_CANDIDATES = 4
+YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
+# An old keyframe is returned to from so near.
+MAX_RETURNS = 2
+MAX_RETURN_PARALLAX_RAD = 0.015
+MIN_RETURN_SURVIVORS = 0.75
+# A correction reaches the picture at this rate.
+MAX_CORRECTION_RAD = np.deg2rad(0.01)
+
+
+class AnchoredTracker:
+    """
+    Orientation against keyframes, of which the ones at places seen before are used again.
+
+    Parameters
+    ----------
+    width : int
+        Of the grey spheres.
+    used : (H, W) bool, optional
+        Pixels to use.
+    max_prediction_s : float
+        For how long the last angular velocity is trusted.
+
+    """
+
+    def __init__(self, width, used=None, max_prediction_s=0.5):
+        self._band = Band(width)
+        self._used = used
+        self._max_prediction_s = max_prediction_s
+        self.reset()
+
+    def reset(self):
+        """Forget everything: the next frame's orientation is the new world."""
+        self._keyframe = None
+        self._pool = []
+        self._still = StillPixels()
+        self._thumbnail = None
+        self._stamp_ns = None
+        self._R_world_camera = Rotation.identity()
+        self._R_out_world = Rotation.identity()
+        self._angular_velocity_rad_s = None
+
+    @property
+    def still_pixels(self):
+        """Pixels (80, 160) bool of the camera that stand still while the world turns."""
+        return self._still.mask
+
+    @property
+    def keyframes_kept(self):
+        """Return the number of keyframes in the pool."""
+        return len(self._pool)
+
+    def track(self, grey, stamp_ns):
+        """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
+        if not has_texture(grey):
+            return self._predicted(stamp_ns)
+        thumbnail = Thumbnail(grey)
+        if self._keyframe is None:
+            self._accept(grey, thumbnail, stamp_ns, self._R_world_camera)
+            self._add_keyframe(grey)
+            return TrackedOrientation(
+                self._R_world_camera, TrackingStatus.OK, self._keyframe.orientation_covariance())
+
+        R_camera_last = self._turn_since(stamp_ns).inv()
+        R_camera_last = align(self._thumbnail, thumbnail, R_camera_last)
+        R_world_camera = self._measure(
+            self._keyframe, grey, self._R_world_camera * R_camera_last.inv())
+        if R_world_camera is None:
+            R_world_camera = self._relocalise(grey, thumbnail)
+        if R_world_camera is None:
+            held = self._predicted(stamp_ns)
+            if held.status is TrackingStatus.LOST:
+                self._accept(grey, thumbnail, None, held.R_world_camera)
+                self._R_out_world = Rotation.identity()
+                self._keyframe = None
+                self._add_keyframe(grey)
+            return held
+        self._accept(grey, thumbnail, stamp_ns, R_world_camera)
+        if self._is_used_up():
+            self._change_keyframe(grey)
+        return TrackedOrientation(
+            self._R_out_world * self._R_world_camera, TrackingStatus.OK,
+            self._keyframe.orientation_covariance())
+
+    def _measure(self, keyframe, grey, R_world_camera):
+        """Return R_world_camera measured against a keyframe from a guess, None without."""
+        for _ in range(MAX_ATTEMPTS):
+            measured = keyframe.measure(
+                grey, R_world_camera, lambda x: self._is_usable(x, R_world_camera))
+            if measured is None:
+                return None
+            index, y, fit = measured
+            agreeing = (fit.weights > MIN_WEIGHT).sum()
+            if agreeing < max(MIN_POINTS, MIN_AGREEMENT * len(index)):
+                return None
+            R_world_camera = fit.R.inv() * R_world_camera
+            if fit.R.magnitude() < GOOD_PREDICTION_RAD:
+                break
+        keyframe.update(index, y, fit)
+        return R_world_camera
+
+    def _accept(self, grey, thumbnail, stamp_ns, R_world_camera):
+        """Make this frame the last one that showed something."""
+        step = self._R_world_camera.inv() * R_world_camera
+        self._angular_velocity_rad_s = None
+        if None not in (stamp_ns, self._stamp_ns) and stamp_ns > self._stamp_ns:
+            elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
+            self._angular_velocity_rad_s = step.as_rotvec() / elapsed_s
+        self._still.update(grey, None if self._thumbnail is None else step.inv())
+        self._thumbnail = thumbnail
+        self._stamp_ns = stamp_ns
+        self._R_world_camera = R_world_camera
+        left = self._R_out_world.as_rotvec()
+        size = np.linalg.norm(left)
+        self._R_out_world = Rotation.from_rotvec(
+            left * (max(0., size - MAX_CORRECTION_RAD) / max(size, 1e-12)))
+
+    def _is_used_up(self):
+        return (len(self._keyframe.found) < MIN_SURVIVORS * len(self._keyframe)
+                or self._keyframe.parallax_rad() > MAX_PARALLAX_RAD)
+
+    def _change_keyframe(self, grey):
+        """Go on with an old keyframe where there is one of this place, else with a new one."""
+        others = [k for k in self._nearest(self._thumbnail, self._R_world_camera)
+                  if k is not self._keyframe]
+        for keyframe in others[:MAX_RETURNS]:
+            keyframe.return_to()
+            R_world_camera = self._measure(keyframe, grey, self._R_world_camera)
+            if (R_world_camera is None
+                    or len(keyframe.found) < MIN_RETURN_SURVIVORS * len(keyframe)
+                    or keyframe.parallax_rad() > MAX_RETURN_PARALLAX_RAD):
+                continue
+            self._R_out_world = self._R_out_world * self._R_world_camera * R_world_camera.inv()
+            self._R_world_camera = R_world_camera
+            self._keyframe = keyframe
+            return
+        self._add_keyframe(grey)
+
+    def _add_keyframe(self, grey):
+        """Start a keyframe here; its neighbours' points go on in it."""
+        image = self._band.look(grey, self._R_world_camera)
+        uv, inverse_depths, information = (
+            np.empty((0, 2), np.float32), np.empty(0), np.empty(0))
+        covariance = np.zeros((3, 3))
+        if self._keyframe is not None and len(self._keyframe.found):
+            uv, inverse_depths, information = self._keyframe.carried()
+            covariance = self._keyframe.orientation_covariance()
+            uv[:, 0] = (uv[:, 0] - MARGIN_PX) % self._band.width + MARGIN_PX
+        new = self._band.corners(image, uv)
+        new = new[self._is_usable(self._band.bearings(new), self._R_world_camera)]
+        self._keyframe = Keyframe(
+            self._band, image, self._thumbnail, self._R_world_camera, covariance,
+            np.concatenate((uv, new)),
+            np.concatenate((inverse_depths, np.ones(len(new)))),
+            np.concatenate((information, np.full(len(new), PRIOR_INFORMATION))))
+        self._remember(self._keyframe)
+
+    def _remember(self, keyframe):
+        """Keep a keyframe in the pool, in place of the one that is most like its successor."""
+        self._pool.append(keyframe)
+        if len(self._pool) > POOL_SIZE:
+            unlike = [difference(a.thumbnail, b.thumbnail, b.R_world_camera.inv()
+                                 * a.R_world_camera) for a, b in zip(self._pool, self._pool[1:])]
+            # The first one is the world.
+            del self._pool[1 + int(np.argmin(unlike[1:]))]
+
+    def _nearest(self, thumbnail, R_world_camera):
+        """Return the pool's keyframes that look like this picture, the oldest first."""
+        return [key for key in self._pool if difference(
+            key.thumbnail, thumbnail, R_world_camera.inv() * key.R_world_camera) < SAME_PLACE]
+
+    def _relocalise(self, grey, thumbnail):
+        """Return R_world_camera from the last keyframes, whatever the camera has done since."""
+        starts = []
+        for keyframe in self._pool[-MAX_CANDIDATES:]:
+            for yaw_rad in YAW_STARTS_RAD:
+                R_camera_key = align(keyframe.thumbnail, thumbnail,
+                                     Rotation.from_rotvec((0, yaw_rad, 0)))
+                unlike = difference(keyframe.thumbnail, thumbnail, R_camera_key)
+                starts.append((unlike, len(starts), keyframe, R_camera_key))
+        for _, _, keyframe, R_camera_key in sorted(starts)[:MAX_ATTEMPTS]:
+            keyframe.return_to()
+            R_world_camera = self._measure(
+                keyframe, grey, keyframe.R_world_camera * R_camera_key.inv())
+            if R_world_camera is not None:
+                self._keyframe = keyframe
+                self._R_out_world = Rotation.identity()
+                return R_world_camera
+        return None
+
+    def _is_usable(self, bearings, R_world_camera):
+        """Tell which bearings (N, 3) in the world are seen where the world is to be seen."""
+        in_camera = R_world_camera.inv().apply(bearings)
+        usable = ~_read(self._still.mask, in_camera)
+        if self._used is not None:
+            usable &= _read(self._used, in_camera)
+        return usable
+
+    def _turn_since(self, stamp_ns):
+        """Return the turn R_last_camera expected since the last frame that showed something."""
+        if self._angular_velocity_rad_s is None:
+            return Rotation.identity()
+        elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
+        trusted_s = min(max(elapsed_s, 0), self._max_prediction_s)
+        return Rotation.from_rotvec(self._angular_velocity_rad_s * trusted_s)
+
+    def _predicted(self, stamp_ns):
+        """Turn the last orientation on at its angular velocity; hold it where that is too old."""
+        in_time = (self._angular_velocity_rad_s is not None
+                   and 0 <= stamp_ns - self._stamp_ns <= self._max_prediction_s * NS_PER_S)
+        return TrackedOrientation(
+            self._R_out_world * self._R_world_camera * self._turn_since(stamp_ns),
+            TrackingStatus.PREDICTED if in_time else TrackingStatus.LOST)
+
+
+def _read(mask, bearings):
+    """Return the values (N,) of a mask (H, W) along bearings (N, 3)."""
+    height, width = mask.shape
+    columns, rows = np.rint(pixels_from_bearings(bearings, width)).astype(int).T
+    return mask[np.clip(rows, 0, height - 1), columns % width]

@@ -12,16 +12,20 @@ from sph_stab_ros.warp import InverseWarp
 MAX_LATITUDE_RAD = np.deg2rad(65)
 # Continued across the seam by the reach of a window on the coarsest level.
 MARGIN_PX = 48
-WINDOW_PX = 15
-PYRAMID_LEVELS = 2
+WINDOW_PX = 21
+PYRAMID_LEVELS = 1
 MIN_CORNER_DISTANCE_PX = 10
-MAX_CORNERS = 600
-MIN_CORNER_QUALITY = 1e-3
+MAX_CORNERS = 400
+# Of the strongest corner; weaker ones follow the noise of plain walls.
+MIN_CORNER_QUALITY = 5e-3
 # Smallest eigenvalue of a window's structure tensor, per pixel, that can be followed.
 MIN_EIGENVALUE = 5e-4
 # Mean grey difference of a window that has been followed to the wrong place.
 MAX_DIFFERENCE = 25
-GRADIENT0 = 30.
+# A corner is found to within this where it is strong; the mean squared gradient (grey values per
+# pixel) at which noise adds as much again.
+CORNER_SIGMA_PX = 0.1
+NOISE_GRADIENT = 50.0
 
 
 class Band:
@@ -29,22 +33,27 @@ class Band:
 
     def __init__(self, width):
         self.width = width
-        self.first_row = round(width / 2 * (0.5 - MAX_LATITUDE_RAD / np.pi))
-        self.size_wh = width + 2 * MARGIN_PX, width // 2 - 2 * self.first_row
-        self._offset_px = np.float32((MARGIN_PX, -self.first_row))
-        self._warp = InverseWarp(
-            lambda uv: bearings_from_pixels(uv - self._offset_px, width), self.size_wh)
+        self.px_per_rad = width / (2 * np.pi)
+        first_row = round(width / 2 * (0.5 - MAX_LATITUDE_RAD / np.pi))
+        self.size_wh = width + 2 * MARGIN_PX, width // 2 - 2 * first_row
+        self._offset_px = np.float32((MARGIN_PX, -first_row))
+        self._warp = InverseWarp(self.bearings, self.size_wh)
 
-    def look(self, grey, R_world_camera):
-        """Return the band's picture of the grey sphere (H, W) in the world's orientation."""
-        return self._warp(grey, R_world_camera.inv())
+    def look(self, grey, R_world_camera, bearings=None):
+        """
+        Return the band's picture of the grey sphere (H, W) in the world's orientation.
+
+        ``bearings``, a function of pixels (..., 2), is where each pixel looks instead.
+        """
+        warp = self._warp if bearings is None else InverseWarp(bearings, self.size_wh)
+        return warp(grey, R_world_camera.inv())
 
     def bearings(self, uv):
-        """Return the bearings (N, 3) of the band's pixels (N, 2)."""
-        return bearings_from_pixels(uv.astype(float) - self._offset_px, self.width)
+        """Return where the band's pixels (..., 2) look, unit vectors (..., 3)."""
+        return bearings_from_pixels(uv - self._offset_px, self.width)
 
     def pixels(self, bearings):
-        """Return the band's pixels (N, 2) of bearings (N, 3)."""
+        """Return where in the band, (..., 2), vectors (..., 3) of any length are seen."""
         return np.float32(pixels_from_bearings(bearings, self.width) + self._offset_px)
 
     def contains(self, uv):
@@ -53,34 +62,41 @@ class Band:
         return (uv[:, 1] > reach) & (uv[:, 1] < self.size_wh[1] - reach)
 
     def corners(self, image, taken):
-        """Return corners (N, 2) of a picture, away from those already ``taken`` (M, 2)."""
+        """Return new corners of a picture, (N, 2), away from those already ``taken`` (M, 2)."""
         free = np.zeros(self.size_wh[::-1], np.uint8)
-        free[WINDOW_PX:-WINDOW_PX, MARGIN_PX:-MARGIN_PX] = 255
+        reach = WINDOW_PX // 2
+        free[reach:-reach, MARGIN_PX:-MARGIN_PX] = 255
         for u, v in np.rint(taken).astype(int).tolist():
             cv2.circle(free, (u, v), MIN_CORNER_DISTANCE_PX, 0, -1)
         wanted = MAX_CORNERS - len(taken)
-        if wanted <= 0:
-            return np.empty((0, 2), np.float32)
-        found = cv2.goodFeaturesToTrack(
-            image, wanted, MIN_CORNER_QUALITY, MIN_CORNER_DISTANCE_PX,
-            mask=free, blockSize=7)
+        found = None if wanted <= 0 else cv2.goodFeaturesToTrack(
+            image, wanted, MIN_CORNER_QUALITY, MIN_CORNER_DISTANCE_PX, mask=free, blockSize=7)
         return np.empty((0, 2), np.float32) if found is None else found[:, 0]
 
     def root_information(self, image, uv):
-        gx,gy=cv2.Scharr(image,cv2.CV_32F,1,0)/32,cv2.Scharr(image,cv2.CV_32F,0,1)/32
-        box=lambda a: cv2.boxFilter(a,-1,(WINDOW_PX,WINDOW_PX))
-        i,j=np.rint(uv[:,::-1]).astype(int).T
-        G=np.array([[box(gx*gx)[i,j],box(gx*gy)[i,j]],[box(gx*gy)[i,j],box(gy*gy)[i,j]]]).transpose(2,0,1).astype(float)
-        l,V=np.linalg.eigh(G)
-        f=np.sqrt(np.maximum(l,1e-6)/(l+GRADIENT0))*self.width/(2*np.pi)/0.2
-        return np.einsum('nij,nj,nkj->nik',V,f,V)
+        """
+        Return how exactly windows around pixels (N, 2) can be followed, (N, 2, 2) per pixel.
 
-    def whitening(self, y, root):
-        c=np.maximum(np.hypot(y[:,0],y[:,2]),.1)
-        e=np.stack((y[:,2],0*c,-y[:,0]),-1)/(c*c)[:,None]
-        s=np.cross(y,e*c[:,None])
-        T=np.stack((e,s))
-        return np.einsum('nij,jnk->ink',root,T)
+        The symmetric root of ``G (G + G0)⁻¹ / σ²``, G the windows' mean structure tensor.
+        """
+        gradients = [cv2.Scharr(image, cv2.CV_32F, *order) / 32 for order in ((1, 0), (0, 1))]
+        columns, rows = np.rint(uv).astype(int).T
+        G = np.empty((len(uv), 2, 2))
+        for i, j in ((0, 0), (0, 1), (1, 1)):
+            mean = cv2.blur(gradients[i] * gradients[j], (WINDOW_PX, WINDOW_PX))
+            G[:, i, j] = G[:, j, i] = mean[rows, columns]
+        values, vectors = np.linalg.eigh(G)
+        values = np.maximum(values, 1e-3)
+        roots = np.sqrt(values / (values + NOISE_GRADIENT)) / CORNER_SIGMA_PX
+        return (vectors * roots[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+
+    def whitening(self, bearings, root_information):
+        """Return the derivatives (2, N, 3) of pixels times their root information (N, 2, 2)."""
+        cos_lat = np.maximum(np.hypot(bearings[:, 0], bearings[:, 2]), 0.1)[:, None]
+        east = np.stack(
+            (bearings[:, 2], np.zeros(len(bearings)), -bearings[:, 0]), axis=1) / cos_lat
+        derivatives = np.stack((east / cos_lat, np.cross(bearings, east))) * self.px_per_rad
+        return np.einsum('nij,jnk->ink', root_information, derivatives)
 
 
 def follow(before, now, uv_before, uv_now):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 NS_PER_S = 1_000_000_000
@@ -23,10 +24,16 @@ class TrackingStatus(Enum):
 
 @dataclass(frozen=True)
 class TrackedOrientation:
-    """The camera's orientation, and how it was come by."""
+    """
+    The camera's orientation, and how it was come by.
+
+    ``covariance`` (3, 3) in rad² is that of the error's rotation vector in the world,
+    ``exp(error) R_true``; None where the tracker does not know it.
+    """
 
     R_world_camera: Rotation
     status: TrackingStatus
+    covariance: np.ndarray | None = None
 
 
 class Tracker(Protocol):

@@ -12,9 +12,10 @@ WIDTH = 160
 MARGIN_PX = 4
 BLUR_PX = 0.7
 # Pixels that follow less than this share of the world's rotation do not belong to the world.
-MIN_SHARE = 0.5
-# Squared grey values of expected change, 3 × 3 pixels taken together, before that is judged.
-MIN_EVIDENCE = 300.0
+MIN_SHARE = 0.35
+# Squared grey values of expected change before that is judged, and what one frame can add.
+MIN_EVIDENCE = 30.0
+MAX_EVIDENCE = 3.0
 # Of the evidence per frame in which anything moves.
 MEMORY = 0.98
 MIN_STEP_RAD = np.deg2rad(0.1)
@@ -35,7 +36,7 @@ class StillPixels:
         self.mask = np.zeros(self._happened.shape, bool)
 
     def update(self, grey, R_current_previous):
-        """Take in the next grey sphere (H, W), or after a None rotation one to start from."""
+        """Take in the next grey sphere (H, W); without a rotation it is the first one."""
         small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
         small = cv2.GaussianBlur(pad_sphere(small.astype(np.float32), MARGIN_PX), (0, 0), BLUR_PX)
         previous, self._small = self._small, small
@@ -47,7 +48,9 @@ class StillPixels:
         inside = slice(MARGIN_PX, -MARGIN_PX)
         expected = -rotation_gradient((small + previous) / 2, MARGIN_PX) @ omega
         change = (small - previous)[inside, inside]
-        self._happened = MEMORY * self._happened + cv2.blur(expected * change, (3, 3)) * 9
-        self._evidence = MEMORY * self._evidence + cv2.blur(expected * expected, (3, 3)) * 9
+        happened, evidence = (cv2.blur(expected * seen, (3, 3)) for seen in (change, expected))
+        share = np.minimum(1, MAX_EVIDENCE / np.maximum(evidence, 1e-6))
+        self._happened = MEMORY * self._happened + share * happened
+        self._evidence = MEMORY * self._evidence + share * evidence
         still = (self._happened < MIN_SHARE * self._evidence) & (self._evidence > MIN_EVIDENCE)
         self.mask = cv2.dilate(still.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0

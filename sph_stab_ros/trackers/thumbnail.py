@@ -26,7 +26,8 @@ class Thumbnail:
     def __init__(self, grey):
         small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
         margin_px = 4
-        blurred = cv2.GaussianBlur(pad_sphere(small.astype(np.float32), margin_px), (0, 0), BLUR_PX)
+        padded = pad_sphere(small.astype(np.float32), margin_px)
+        blurred = cv2.GaussianBlur(padded, (0, 0), BLUR_PX)
         contrast = blurred.std()
         self.padded = (blurred - blurred.mean()) / max(contrast, 1.)
         self.margin_px = margin_px
@@ -57,6 +58,16 @@ def align(reference, current, R_current_reference):
         if np.linalg.norm(omega) < STEP_TOLERANCE_RAD:
             break
     return R
+
+
+def difference(reference, current, R_current_reference):
+    """Return by how much two Thumbnails differ in the mean, in standard deviations of either."""
+    rows, weights = _rows_used()
+    uv = pixels_from_bearings(bearing_grid(WIDTH)[rows].reshape(-1, 3)
+                              @ R_current_reference.as_matrix().T.astype(np.float32), WIDTH)
+    uv = (uv + current.margin_px).astype(np.float32)
+    seen = cv2.remap(current.padded, uv[:, 0], uv[:, 1], cv2.INTER_LINEAR).ravel()
+    return np.average(np.abs(seen - reference.image[rows].ravel()), weights=weights)
 
 
 @lru_cache(maxsize=1)
