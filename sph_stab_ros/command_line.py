@@ -13,8 +13,6 @@ from sph_stab_ros.masks import load_mask, MaskError
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.trackers import working_width
 
-from threadpoolctl import threadpool_limits
-
 
 def limit_blas_threads():
     """
@@ -23,7 +21,12 @@ def limit_blas_threads():
     The matrices here are long and thin: a second thread waits more than it multiplies, 0.13 s of
     CPU per frame against 0.03 s on two busy cores.
     """
-    threadpool_limits(1, user_api='blas')
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        logging.getLogger(__name__).debug('threadpoolctl is not there, BLAS keeps its threads')
+    else:
+        threadpool_limits(1, user_api='blas')
 
 
 class Parser(argparse.ArgumentParser):

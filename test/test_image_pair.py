@@ -120,7 +120,7 @@ def test_real_photos_turned_have_no_parallax(shared_data, rotation_deg):
         start = ImagePair(*pair).pts()
         found = ImagePair(*pair).pts_epipolar()
         assert found.status is FitStatus.NO_PARALLAX
-        assert angle_deg(found.R_current_previous, start.R_current_previous) == 0
+        assert angle_deg(found.R_current_previous, start.R_current_previous) < 1e-6
 
 
 @every_method
@@ -133,5 +133,5 @@ def test_real_stereo_pairs_turned_are_recovered(shared_data, method, scene):
                 for side in ('down', 'up'))
     for rotation_deg in (1., 3., 5.):
         R = random_rotation(rng, rotation_deg)
-        found = estimate(method, reduced(down), reduced(turned_pair(up, R)[1]), 'dis', 1)
+        found = estimate(method, reduced(down), reduced(turned_pair(up, R)[1]))
         assert angle_deg(found.R_current_previous, R) < 0.5

@@ -32,10 +32,10 @@ PYTHON_DEPENDENCIES = {
     'numpy': ('numpy', 'python3-numpy'),
     'rosbags': ('rosbags', 'python3-rosbags-pip'),
     'scipy': ('scipy', 'python3-scipy'),
-    'threadpoolctl': ('threadpoolctl', 'python3-threadpoolctl'),
+    'threadpoolctl': ('threadpoolctl', None),
     'tqdm': ('tqdm', 'python3-tqdm'),
 }
-OPTIONAL_MODULES = {'av', 'matplotlib'}
+OPTIONAL_MODULES = {'av', 'matplotlib', 'threadpoolctl'}
 # The only modules, and with `ros` all modules below it, that may need ROS to be imported.
 ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in ('demo', 'player', 'ros', 'stabilizer'))
 

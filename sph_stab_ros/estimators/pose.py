@@ -18,6 +18,9 @@ ITERATIONS = 10
 STEP_TOLERANCE = 1e-5
 # Cauchy's constant: residuals of this many standard deviations count half.
 CAUCHY = 2.0
+# The loss starts so many times wider and narrows by half with each iteration: what is near would
+# else be an outlier to what is far before the translation is known.
+WIDE_START = 4.0
 # Median lengths of normal vectors of one and two dimensions: a free depth takes one away.
 MEDIAN_1D, MEDIAN_2D = 0.6745, 1.1774
 # No motion between two frames moves the position further; fixes what no point does.
@@ -49,7 +52,7 @@ def fit_pose(x, y, whitening, inverse_depths, information, position):
     Return the PoseEstimate that takes points to where they are seen.
 
     Minimises ``Σ ρ_C(|W (b − y)| / s) + Σ λ (ρ − ρ0)²``, b the unit vector along ``R (x − ρ p)``,
-    over R, p and all ρ by Gauss–Newton with Cauchy's robust loss, from R = I. Each ρ is
+    over R, p and all ρ by Gauss–Newton with Cauchy's robust loss, narrowing, from R = I. Each ρ is
     eliminated from the 6×6 normal equations (Schur complement); s is the residuals' own scale.
 
     Parameters
@@ -66,7 +69,7 @@ def fit_pose(x, y, whitening, inverse_depths, information, position):
     """
     R, p, rho = np.eye(3), position, inverse_depths
     known = np.ones(len(x))
-    for _ in range(ITERATIONS):
+    for iteration in range(ITERATIONS):
         z = (x - rho[:, None] * p) @ R.T
         length = np.sqrt(np.einsum('ni,ni->n', z, z))
         b = z / length[:, None]
@@ -74,7 +77,8 @@ def fit_pose(x, y, whitening, inverse_depths, information, position):
         size = np.sqrt(np.einsum('kn,kn->n', r, r))
         expected = MEDIAN_1D + (MEDIAN_2D - MEDIAN_1D) * known
         scale = max(np.median(size / expected), MIN_SCALE)
-        weights = 1 / (1 + (size / (CAUCHY * scale)) ** 2)
+        width = CAUCHY * scale * max(1., WIDE_START / 2 ** iteration)
+        weights = 1 / (1 + (size / width) ** 2)
         w = weights / scale ** 2
 
         # W db = M dz with M = W (I − b bᵀ) / |z| and dz = ω × z − ρ R dp − R p dρ.

@@ -13,7 +13,7 @@ MIN_POINTS = 25
 # Points trusted less than this have not been found.
 MIN_WEIGHT = 0.1
 # Inverse depths are in units of their median: that is all that is known of a new point's.
-PRIOR_INFORMATION = 1.0
+PRIOR_INFORMATION = 0.3
 # What earlier frames told fades, as their errors are not independent of this frame's.
 MEMORY = 0.5
 MAX_INFORMATION = 1e4
