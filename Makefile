@@ -31,6 +31,8 @@ evaluation: setup  ## Compare all estimators on the recordings, within half an h
 	$(EVALUATE) bags/drone --json results/evaluation/drone.json --plots results/evaluation/drone
 	$(EVALUATE) bags/pioneer --json results/evaluation/pioneer.json \
 	    --plots results/evaluation/pioneer --mount=-7.182,-3.661,-2.975
+	$(EVALUATE) bags/handheld --json results/evaluation/handheld.json \
+	    --plots results/evaluation/handheld
 
 test-oldest: AMENT_PREFIX_PATH = $(CURDIR)/.venv-oldest
 test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported NumPy, OpenCV, ...
@@ -45,6 +47,8 @@ bags: setup  ## Write the recordings in bags anew from pictures by tools/photore
 	    --logs '$(LOGS)' --frames '$(FRAMES)/drone'
 	$(PY) -m sph_stab_ros.simulation pioneer bags/pioneer --force --frames-limit 300 \
 	    --logs '$(LOGS)' --frames '$(FRAMES)/pioneer'
+	$(PY) -m sph_stab_ros.simulation handheld bags/handheld --force --frames-limit 300 \
+	    --logs '$(LOGS)' --frames '$(FRAMES)/handheld'
 
 constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 	uv pip compile --universal --python-version 3.10 --all-extras --no-annotate --upgrade \

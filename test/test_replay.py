@@ -1,5 +1,17 @@
 # Copyright 2026 The sph_stab_ros developers
-# SPDX-License-Identifier: Apache-2.0
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
 """The command replay: what it writes, what it says, and how it ends."""
 
 import os
@@ -314,7 +326,7 @@ def test_the_simulated_recordings_come_out_as_the_truth_says(name, tmp_path):
 @pytest.mark.parametrize('ending', [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_output_is_marked(turning, tmp_path, ending):
     """Its own name is not taken; what was written can be read."""
-    bag = write_bag(tmp_path / 'bag', 40 * turning[0])
+    bag = write_bag(tmp_path / 'bag', 150 * turning[0])
     out, partial = tmp_path / 'out', tmp_path / 'out.partial' / 'out'
     process = start(bag, out)
     while process.poll() is None and not (
@@ -325,4 +337,4 @@ def test_an_interrupted_output_is_marked(turning, tmp_path, ending):
     assert process.returncode == 1
     assert 'Traceback' not in error and str(partial.parent) in error
     assert not out.exists()
-    assert 0 < open_recording(partial, 'view/image/compressed').frame_count < 480
+    assert 0 < open_recording(partial, 'view/image/compressed').frame_count < 1800
