@@ -82,7 +82,9 @@ def run(name, command):
     Warnings of the library go to stderr. SIGTERM ends the command as Ctrl-C does.
     """
     logging.basicConfig(format=f'{name}: %(message)s', level=logging.WARNING, stream=sys.stderr)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # SIGINT too: what a script starts in the background would ignore it.
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)
     limit_blas_threads()
     try:
         command()
