@@ -105,7 +105,7 @@ class TrackerConfig(Checked):
         0, 'How often the flow is computed again on the derotated image', minimum=0, maximum=5)
     epipolar_bound_deg: float = option(
         30., 'Angle in degrees at which flow off its epipolar circle counts a quarter in '
-        "pts_epipolar; 180 leaves the paper's sum of squares nearly as it is",
+        "pts_epipolar; 180 for the paper's plain sum of squares",
         minimum=1., maximum=180.)
     working_width: int = option(
         0, 'Width in pixels that images are reduced to for the estimator, at least 128; 0 leaves '

@@ -217,3 +217,21 @@ def test_an_essential_matrix_comes_apart_as_it_was_put_together():
 def test_the_weighted_median_halves_the_weight():
     assert weighted_median(np.array((3., 1., 2.)), np.array((1., 1., 1.))) == 2
     assert weighted_median(np.array((3., 1., 2.)), np.array((9., 1., 1.))) == 3
+
+
+@every_seed
+def test_without_a_bound_epipolar_is_the_minimum_of_eq_8(seed):
+    """No small step lowers the sum of squares, but for the kinks where an outlier's Ω passes π."""
+    rng = np.random.default_rng(seed)
+    R = random_rotation(rng, 2)
+    pairs = point_pairs(rng, R, 0.5 * unit(rng.normal(size=3)), noise_rad=5e-3, outliers=0.05)
+    plain = fit_epipolar(pairs, fit_essential(pairs), np.inf)
+
+    def cost(state):
+        return np.sum(epipolar.flow_angles(pairs, state.R, state.q) ** 2)
+
+    state = epipolar._State(plain.R_current_previous, plain.t_current)
+    for step in 1e-3 * np.vstack((np.eye(5), -np.eye(5))):
+        assert cost(state.moved(step)) > (1 - 1e-5) * cost(state)
+    bounded = fit_pts_epipolar(pairs)
+    assert angle_deg(bounded.R_current_previous, plain.R_current_previous) > 1e-3

@@ -42,7 +42,8 @@ def make_tracker(config, width):
     used = load_mask(config.mask, width)
     if config.estimator == ANCHORED:
         return AnchoredTracker(width, used, config.max_prediction_s)
+    bound_deg = config.epipolar_bound_deg
     return ChainTracker(
         config.estimator, used, config.max_prediction_s,
         flow=config.flow, flow_updates=config.flow_updates,
-        epipolar_bound_rad=np.deg2rad(config.epipolar_bound_deg))
+        epipolar_bound_rad=np.deg2rad(bound_deg) if bound_deg < 180 else np.inf)
