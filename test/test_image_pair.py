@@ -138,12 +138,16 @@ def test_real_photos_turned_have_no_parallax(shared_data, rotation_deg):
 @every_method
 @pytest.mark.parametrize('scene', ('hall', 'room', 'stairs'))
 def test_real_stereo_pairs_turned_are_recovered(shared_data, method, scene):
-    """Two pictures 20 cm apart, one turned: the rotation comes back, whatever the baseline."""
+    """
+    Two pictures 20 cm apart, one turned: the rotation comes back, whatever the baseline.
+
+    Worst is ``moment`` in the room, by 0.45° when the flow has settled: plain walls at both poles.
+    """
     rng = np.random.default_rng(0)
     folder = shared_data / 'stereo_pairs' / 'realworld'
     down, up = (cv2.imread(str(folder / f'image_{side}' / f'{scene}.png'), cv2.IMREAD_GRAYSCALE)
                 for side in ('down', 'up'))
     for rotation_deg in (1., 3., 5.):
         R = random_rotation(rng, rotation_deg)
-        found = estimate(method, reduced(down), reduced(turned_pair(up, R)[1]))
+        found = estimate(method, reduced(down), reduced(turned_pair(up, R)[1]), flow_updates=3)
         assert angle_deg(found.R_current_previous, R) < 0.5
