@@ -141,7 +141,7 @@ def test_real_stereo_pairs_turned_are_recovered(shared_data, method, scene):
     """
     Two pictures 20 cm apart, one turned: the rotation comes back, whatever the baseline.
 
-    Worst is ``moment`` in the room, by 0.45° when the flow has settled: plain walls at both poles.
+    Worst is ``moment`` in the room, by 0.45° when the flow has settled.
     """
     rng = np.random.default_rng(0)
     folder = shared_data / 'stereo_pairs' / 'realworld'
