@@ -16,8 +16,8 @@
 Levenberg–Marquardt on a manifold, on normal equations.
 
 SciPy's ``least_squares(method='lm')`` factorises the full Jacobian, (28 800, 5) for a flow field,
-and knows no manifold; on the 5×5 normal equations of the few well-scaled unknowns here, with steps in
-the tangent space, Eq. 8 takes 150 ms of CPU against 280 ms, at the same minimum.
+and knows no manifold; on the 5×5 normal equations of the few well-scaled unknowns here, with
+steps in the tangent space, Eq. 8 takes 150 ms of CPU against 280 ms, at the same minimum.
 """
 
 from dataclasses import dataclass
