@@ -45,7 +45,8 @@ from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.images import encode_jpeg, fill_image, image_from_compressed
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.stabilization import Stabilizer, to_grey
-from sph_stab_ros.trackers import make_tracker, NS_PER_S, working_width
+from sph_stab_ros.trackers import make_tracker, working_width
+from sph_stab_ros.trajectory import NS_PER_S
 from sph_stab_ros.warp import (
     equirect_warp, perspective_view, perspective_warp, rotate_equirect, view_rotation)
 

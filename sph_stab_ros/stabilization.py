@@ -24,7 +24,8 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import MIN_WIDTH, StabilizerConfig
 from sph_stab_ros.equirect import is_equirect
 from sph_stab_ros.frame import Frame
-from sph_stab_ros.trackers import make_tracker, NS_PER_S, TrackingStatus, working_width
+from sph_stab_ros.trackers import make_tracker, TrackingStatus, working_width
+from sph_stab_ros.trajectory import NS_PER_S
 from sph_stab_ros.warp import perspective_view, rotate_equirect, view_rotation
 
 # Without a frame for so long, motion in between is guesswork.

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 
-from sph_stab_ros.trackers import NS_PER_S
+from sph_stab_ros.trajectory import NS_PER_S
 from sph_stab_ros.warp import focal_length_px
 
 # The same as tf2's.

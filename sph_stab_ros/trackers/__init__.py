@@ -19,15 +19,15 @@ import numpy as np
 from sph_stab_ros.config import ANCHORED
 from sph_stab_ros.masks import load_mask
 from sph_stab_ros.trackers.anchored import AnchoredTracker
-from sph_stab_ros.trackers.base import NS_PER_S, TrackedOrientation, Tracker, TrackingStatus
+from sph_stab_ros.trackers.base import TrackedOrientation, Tracker, TrackingStatus
 from sph_stab_ros.trackers.chain import ChainTracker
 
 # Corners gain from resolution, dense flow costs by it.
 ANCHORED_WIDTH = 960
 CHAIN_WIDTH = 480
 
-__all__ = ['AnchoredTracker', 'ChainTracker', 'make_tracker', 'NS_PER_S', 'TrackedOrientation',
-           'Tracker', 'TrackingStatus', 'working_width']
+__all__ = ['AnchoredTracker', 'ChainTracker', 'make_tracker', 'TrackedOrientation', 'Tracker',
+           'TrackingStatus', 'working_width']
 
 
 def working_width(config):

@@ -26,10 +26,11 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.equirect import pixels_from_bearings
 from sph_stab_ros.flow import has_texture
 from sph_stab_ros.trackers.band import Band, MARGIN_PX
-from sph_stab_ros.trackers.base import NS_PER_S, TrackedOrientation, TrackingStatus
+from sph_stab_ros.trackers.base import TrackedOrientation, TrackingStatus
 from sph_stab_ros.trackers.keyframe import Keyframe, MIN_POINTS, MIN_WEIGHT, PRIOR_INFORMATION
 from sph_stab_ros.trackers.still_pixels import StillPixels
 from sph_stab_ros.trackers.thumbnail import align, difference, Thumbnail
+from sph_stab_ros.trajectory import NS_PER_S
 
 # A keyframe is replaced when fewer of its points are found, or when they have moved further.
 MIN_SURVIVORS = 0.5

@@ -21,8 +21,6 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-NS_PER_S = 1_000_000_000
-
 
 class TrackingStatus(Enum):
     """How much an orientation is worth."""

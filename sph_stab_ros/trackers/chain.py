@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.flow import has_texture
 from sph_stab_ros.image_pair import ImagePair, METHODS, Sphere
-from sph_stab_ros.trackers.base import NS_PER_S, TrackedOrientation, TrackingStatus
+from sph_stab_ros.trackers.base import TrackedOrientation, TrackingStatus
+from sph_stab_ros.trajectory import NS_PER_S
 
 
 class ChainTracker:
