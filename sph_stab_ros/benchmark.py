@@ -37,18 +37,20 @@ import scipy
 from sph_stab_ros import matching
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.config import ANCHORED, MIN_WIDTH, StabilizerConfig, TrackerConfig
+from sph_stab_ros.equirect import bearing_grid, is_equirect
 from sph_stab_ros.estimators import fit_epipolar, fit_essential, fit_moment
 from sph_stab_ros.flow import dense_pairs, dis, spherical_flow
 from sph_stab_ros.frame import Frame
 from sph_stab_ros.image_pair import METHODS
+from sph_stab_ros.projection import Equirect, to_grey
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.images import encode_jpeg, fill_image, image_from_compressed
 from sph_stab_ros.recording.output import partial_output
-from sph_stab_ros.stabilization import Stabilizer, to_grey
+from sph_stab_ros.stabilization import Stabilizer
 from sph_stab_ros.trackers import make_tracker, working_width
 from sph_stab_ros.trajectory import NS_PER_S
 from sph_stab_ros.warp import (
-    equirect_warp, perspective_view, perspective_warp, rotate_equirect, view_rotation)
+    perspective_rays, perspective_view, rotate_equirect, view_rotation)
 
 from tqdm import tqdm
 
@@ -96,10 +98,12 @@ def inputs(images, width, anchored_width):
 
 def bare_calls(width):
     """Return by name the OpenCV calls to compare with, each of an Input."""
+    v, u = np.mgrid[:VIEW_SIZE_WH[1], :VIEW_SIZE_WH[0]]
+    rays = perspective_rays(np.stack((u, v), axis=-1), VIEW_HFOV_RAD, *VIEW_SIZE_WH)
     sphere_map, view_map = (
-        cv2.convertMaps(*map(np.ascontiguousarray, warp.source_pixels(R, width)), cv2.CV_16SC2)
-        for warp, R in ((equirect_warp(width), R_TURNED),
-                        (perspective_warp(VIEW_HFOV_RAD, *VIEW_SIZE_WH), R_VIEW)))
+        cv2.convertMaps(*Equirect(width).pixels(*np.float32(
+            np.moveaxis(bearings @ R.as_matrix().T, -1, 0))), cv2.CV_16SC2)
+        for bearings, R in ((bearing_grid(width), R_TURNED), (rays, R_VIEW)))
     return {
         'copy': lambda one: one.frame.image.copy(),
         'cv2 flow dis': lambda one: dis(one.previous_grey, one.grey),
@@ -296,6 +300,8 @@ def benchmark(args):
     images = [frame.image for frame in islice(recording.frames(), args.repeats + 2)]
     if len(images) < 2 or images[0].ndim < 3:
         raise RecordingError(f'{args.recording}: at least two pictures in colour are needed')
+    if not is_equirect(images[0].shape):
+        raise RecordingError(f'{args.recording}: its pictures are not 2:1')
     about = {'machine': machine(), 'recording': recording.name,
              'recorded_width': images[0].shape[1], 'repeats': args.repeats}
     widths = {}

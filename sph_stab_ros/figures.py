@@ -35,7 +35,7 @@ from sph_stab_ros.estimators import BearingPairs, FitStatus, RotationEstimate
 from sph_stab_ros.estimators.epipolar import flow_angles, tangent_basis
 from sph_stab_ros.flow import dense_pairs
 from sph_stab_ros.image_pair import ImagePair, Sphere
-from sph_stab_ros.stabilization import to_grey
+from sph_stab_ros.projection import to_grey
 from sph_stab_ros.trajectory import NS_PER_S
 from sph_stab_ros.warp import rotate_equirect
 

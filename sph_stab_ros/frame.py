@@ -22,9 +22,10 @@ import numpy as np
 @dataclass(frozen=True)
 class Frame:
     """
-    A spherical picture and when it was taken.
+    A picture of the sphere and when it was taken.
 
-    ``image`` is (H, W, 3) uint8 in BGR order or (H, W) uint8, W = 2 H, and is not written to;
+    ``image`` is (H, W, 3) uint8 in BGR order or (H, W) uint8 and is not written to; which of its
+    pixels shows what is the Projection's business, and whether its size fits the Stabilizer's;
     ``stamp_ns`` is the header's or the container's time; ``frame_id`` names the camera's frame.
     """
 

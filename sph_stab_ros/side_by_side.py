@@ -18,33 +18,31 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.warp import perspective_view, rotate_equirect, view_rotation
+from sph_stab_ros.warp import view_rotation
 
 MAX_ROW_HEIGHT_PX = 480
 BACK = view_rotation(yaw_rad=np.pi)
 
 
-def side_by_side(stabilized, R_world_view, hfov_rad):
+def side_by_side(stabilized, R_virtual_view, hfov_rad):
     """
     Return a picture (2 h, 4 h, 3) BGR of a StabilizedFrame: above as recorded, below stabilised.
 
-    Each row shows the sphere and the perspective views to the front (``R_world_view``) and to
+    Each row shows the sphere and the perspective views to the front (``R_virtual_view``) and to
     the back; h is the height of the sphere, at most 480 pixels. In the upper row the views are
-    fixed to the camera and in the lower row to the world.
+    fixed to the camera and in the lower row to the virtual camera.
     """
-    image = as_bgr(stabilized.frame.image)
-    height_px = min(image.shape[0], MAX_ROW_HEIGHT_PX) // 2 * 2
     rows = []
     for name, R_camera_row in (('recorded', Rotation.identity()),
-                               ('stabilised', stabilized.R_world_camera.inv())):
-        sphere = rotate_equirect(
-            cv2.resize(image, (2 * height_px, height_px), interpolation=cv2.INTER_AREA),
-            R_camera_row)
-        views = [perspective_view(image, R_camera_row * R_world_view * R_view, hfov_rad,
-                                  (height_px, height_px))
+                               ('stabilised', stabilized.R_camera_virtual)):
+        sphere = stabilized.seen_along(R_camera_row)
+        height_px = min(sphere.shape[0], MAX_ROW_HEIGHT_PX) // 2 * 2
+        sphere = cv2.resize(sphere, (2 * height_px, height_px), interpolation=cv2.INTER_AREA)
+        views = [stabilized.seen_along(R_camera_row * R_virtual_view * R_view, hfov_rad,
+                                       (height_px, height_px))
                  for R_view in (Rotation.identity(), BACK)]
         rows.append(np.hstack([
-            labelled(picture, label) for picture, label in
+            labelled(as_bgr(picture), label) for picture, label in
             zip((sphere, *views), (name, f'{name}, front', f'{name}, back'))]))
     return np.vstack(rows)
 

@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-One inverse warp: a turned sphere, or a perspective view, out of an equirectangular image.
+One inverse warp: a turned sphere, or a perspective view, out of a spherical picture.
 
 Each pixel of the target looks along a bearing; rotated into the source frame it says where to
 read. Computing that for every pixel takes three times as long as reading (35 ms against 11 ms
 at 1920×960), and it is smooth nearly everywhere: the map is computed on a grid and interpolated.
-Where it bends too much for that, at the seam and around the poles, it is computed exactly.
+Where it is not, at an equirectangular image's seam and poles or where two lenses overlap, it is
+computed pixel by pixel.
 """
 
 from functools import lru_cache
@@ -28,13 +29,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import bearings_from_pixels
+from sph_stab_ros.projection import Equirect
 
-# Larger cells have fewer nodes but larger surroundings of the poles to compute exactly: 6 is the
-# fastest, or within a sixth of it, from 960 to 3840 columns.
+# Larger cells have fewer nodes but larger surroundings of the poles to compute exactly.
 CELL_PX = 6
-# Of the order of cv2.remap's own fixed-point step, 1/32 px.
-TOLERANCE_PX = 0.1
-SECOND_DIFFERENCE = np.array(((1, -2, 1),), np.float32)
+# Interpolated maps are made in strips that stay in the cache.
+STRIP_PX = 3 << 16
+# Cells computed exactly at a time; OpenCV takes no more than 32766 rows.
+BATCH_CELLS = 1 << 12
 
 
 def rotate_equirect(image, R_source_target):
@@ -74,102 +76,98 @@ class InverseWarp:
     Parameters
     ----------
     target_bearings : callable
-        Maps pixels (..., 2) of the target, also some beyond its border, to bearings (..., 3).
+        Maps pixels (..., 2) of the target, also some beyond its border, to bearings (..., 3) of
+        any length. Asked once, for the nodes.
     size_wh : tuple of int
         Width and height of the target in pixels.
+    cell_px : int
+        How far nodes are apart: so near that bearings between them can be interpolated.
 
     """
 
-    def __init__(self, target_bearings, size_wh):
-        self.target_bearings = target_bearings
+    def __init__(self, target_bearings, size_wh, cell_px=CELL_PX):
         self.size_wh = size_wh
-        # cv2.resize puts node j at pixel CELL_PX · (j + 0.5) − 0.5; one more node on each side
-        # spares it the border.
-        u, v = (CELL_PX * (np.arange(-1, -(-size // CELL_PX) + 1, dtype=np.float32) + 0.5) - 0.5
-                for size in size_wh)
-        self._node_bearings = np.float32(target_bearings(np.stack(np.meshgrid(u, v), axis=-1)))
-        self._cell_corners_px = np.ceil(np.stack(np.meshgrid(u[:-1], v[:-1]), axis=-1))
-        self._cell_offsets_px = np.float32(np.mgrid[:CELL_PX, :CELL_PX][::-1].transpose(1, 2, 0))
+        self._cell_px = cell_px
+        self._columns, self._rows = (max(-(-size // cell_px), 2) for size in size_wh)
+        u, v = (cell_px * np.arange(cells + 1, dtype=np.float32) - 0.5
+                for cells in (self._columns, self._rows))
+        # Where nodes lie in the target, (rows + 1, columns + 1, 2): on the corners of cells.
+        self.nodes_px = np.stack(np.meshgrid(u, v), axis=-1)
+        self._node_bearings = np.float32(target_bearings(self.nodes_px))
+        offsets = (np.arange(cell_px, dtype=np.float32) + 0.5) / cell_px
+        along = np.stack((1 - offsets, offsets))
+        # Of a cell's corners in the order of _exact, (4, pixels).
+        self._corner_weights = np.einsum('iv,ju->ijvu', along, along).reshape(4, -1)
 
-    def __call__(self, image, R_source_target):
+    def __call__(self, image, R_source_target, projection=None, node_bearings=None):
         """
-        Return the target (h, w[, C]) read from the sphere ``image`` with bilinear weights.
+        Return the target (h, w[, C]) read from the spherical ``image`` with bilinear weights.
 
-        Reads wrap around at the seam. The last half pixel before a pole, where the sphere goes
-        on half a turn away, shows the outermost row: padding would cost as much as a copy.
-        """
-        maps = self.source_pixels(R_source_target, image.shape[1], overhang_px=0)
-        return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        Parameters
+        ----------
+        image : np.ndarray
+            (H, W[, C]); equirectangular, unless ``projection`` is given.
+        R_source_target : Rotation
+            From the target's frame into the camera's.
+        projection : Projection, optional
+            How the image holds the sphere.
+        node_bearings : np.ndarray, optional
+            Where the pixels ``nodes_px`` look instead, vectors (rows + 1, columns + 1, 3) of any
+            length: a warp that changes from call to call.
 
-    def source_pixels(self, R_source_target, source_width, overhang_px=0.5):
         """
-        Return maps u, v, each (h, w) float32: the source pixel that each target pixel shows.
-
-        The poles lie half a pixel beyond the centres of the outermost rows; ``overhang_px`` is
-        how far beyond them v may lie.
-        """
-        R = np.float32(R_source_target.as_matrix())
-        nodes = _pixels(self._node_bearings, R, source_width, overhang_px)
-        maps = [cv2.resize(one, None, fx=CELL_PX, fy=CELL_PX, interpolation=cv2.INTER_LINEAR)
-                for one in nodes]
-        missed = _cells_missed(*nodes, source_width)
-        if missed.any():
-            uv = self._cell_corners_px[missed][:, None, None] + self._cell_offsets_px
-            bearings = np.float32(self.target_bearings(uv)).reshape(-1, CELL_PX, 3)
-            exact = _pixels(bearings, R, source_width, overhang_px)
-            for one, values in zip(maps, exact):
-                self._by_cells(one)[missed] = values.reshape(-1, CELL_PX, CELL_PX)
+        projection = projection or Equirect(image.shape[1])
+        bearings = self._node_bearings if node_bearings is None else np.float32(node_bearings)
+        # No BLAS: its threads cost more than they help.
+        xyz = cv2.split(cv2.transform(bearings, np.float32(R_source_target.as_matrix())))
+        u, v, uneven = projection.nodes(*xyz)
+        target = self._interpolated(image, u, v, projection.border)
+        if uneven.any():
+            self._fill_exactly(target, uneven, image, xyz, projection)
         width, height = self.size_wh
-        return [one[CELL_PX:CELL_PX + height, CELL_PX:CELL_PX + width] for one in maps]
+        return np.ascontiguousarray(target[:height, :width])
 
-    def _by_cells(self, upsampled):
-        """Return a view (rows, columns, CELL_PX, CELL_PX) of what lies between the nodes."""
-        before = CELL_PX // 2
-        rows, columns = self._cell_corners_px.shape[:2]
-        between = upsampled[before:before + rows * CELL_PX, before:before + columns * CELL_PX]
-        return between.reshape(rows, CELL_PX, columns, CELL_PX).swapaxes(1, 2)
+    def _interpolated(self, image, u, v, border):
+        """Return the target, of whole cells, read where the pixels between nodes interpolate."""
+        cell = self._cell_px
+        size_wh = self._columns * cell, self._rows * cell
+        target = np.empty((*size_wh[::-1], *image.shape[2:]), image.dtype)
+        strip = max(STRIP_PX // (size_wh[0] * cell), 1)
+        buffers = np.empty((2, (strip + 1) * cell, size_wh[0] + cell), np.float32)
+        # cv2.resize puts node j at pixel cell · (j + 0.5) − 0.5.
+        # An edge of the target is half a cell from there.
+        inner = slice(cell // 2, cell // 2 - cell)
+        for first in range(0, self._rows, strip):
+            nodes = slice(first, first + strip + 1)
+            rows = slice(first * cell, (first + strip) * cell)
+            maps = [cv2.resize(one[nodes], None, buffer[:len(one[nodes]) * cell], cell, cell)
+                    [inner, inner] for one, buffer in zip((u, v), buffers)]
+            cv2.remap(image, *maps, cv2.INTER_LINEAR, target[rows], border)
+        return target
 
-
-def _pixels(bearings, R_source_target, source_width, overhang_px):
-    """
-    Return u, v, each (h, w) float32, of target bearings (h, w, 3) float32 in the source.
-
-    ``pixels_from_bearings`` in half the time: planes instead of pairs, and no BLAS, whose
-    threads cost more than they help.
-    """
-    x, y, z = cv2.split(cv2.transform(bearings, R_source_target))
-    rad_to_px = np.float32(source_width / (2 * np.pi))
-    u = np.arctan2(x, z) * rad_to_px + np.float32(source_width / 2 - 0.5)
-    v = np.arctan2(y, np.hypot(x, z)) * rad_to_px + np.float32(source_width / 4 - 0.5)
-    return u, np.clip(v, -overhang_px, source_width / 2 - 1 + overhang_px, out=v)
-
-
-def _cells_missed(u, v, source_width):
-    """
-    Tell in which cells (rows, columns) interpolation may miss by more than the tolerance.
-
-    Its error is an eighth of the second differences of the nodes' u, v (rows, columns), of which
-    each cell takes the largest of its corners'. Towards the poles the same arc spans more and
-    more columns.
-    """
-    colatitude_rad = (v + np.float32(0.5)) * np.float32(2 * np.pi / source_width)
-    miss_px = np.maximum(_bend(u) * np.sin(colatitude_rad), _bend(v)) / 8
-    return cv2.dilate(miss_px, np.ones((2, 2)), anchor=(0, 0))[:-1, :-1] > TOLERANCE_PX
-
-
-def _bend(values):
-    """Return the largest second difference (rows, columns): along u, along v, or of both added."""
-    along_u, along_v = (
-        cv2.filter2D(values, -1, kernel, borderType=cv2.BORDER_REPLICATE)
-        for kernel in (SECOND_DIFFERENCE, SECOND_DIFFERENCE.T))
-    # With opposite signs, as for longitude, the two take turns within a cell.
-    return np.maximum(np.maximum(abs(along_u), abs(along_v)), abs(along_u + along_v))
+    def _fill_exactly(self, target, uneven, image, xyz, projection):
+        """Read the pixels of cells (rows, columns) along their own bearings, into the target."""
+        cell = self._cell_px
+        # A row of a cell's pixels at a time is one item.
+        in_rows = np.dtype((np.void, target[0, :cell].nbytes))
+        by_cells = target.reshape(self._rows, cell, -1).view(in_rows).swapaxes(1, 2)
+        rows, columns = np.nonzero(uneven)
+        for batch in range(0, len(rows), BATCH_CELLS):
+            i, j = rows[batch:batch + BATCH_CELLS], columns[batch:batch + BATCH_CELLS]
+            between = [
+                np.stack((one[i, j], one[i, j + 1], one[i + 1, j], one[i + 1, j + 1]), axis=-1)
+                @ self._corner_weights for one in xyz]
+            values = projection.read(image, *between)
+            by_cells[i, j] = values.reshape(len(i), cell, -1).view(in_rows)[..., 0]
 
 
 @lru_cache(maxsize=8)
 def equirect_warp(width):
     """Return the inverse warp into an equirectangular image (width / 2, width)."""
-    return InverseWarp(lambda uv: bearings_from_pixels(uv, width), (width, width // 2))
+    # Bearings bend; within cells of 1/100 rad to be on the safe side they interpolate.
+    cell_px = 2 * min(max(width // 200, 1), CELL_PX // 2)
+    return InverseWarp(
+        lambda uv: bearings_from_pixels(uv, width), (width, width // 2), cell_px)
 
 
 @lru_cache(maxsize=16)
@@ -178,12 +176,11 @@ def perspective_warp(hfov_rad, width, height):
     if not 0 < hfov_rad < np.pi:
         raise ValueError(
             f'a perspective view needs a field of view below 180°, not {np.rad2deg(hfov_rad):g}°')
-    focal_px = focal_length_px(hfov_rad, width)
-    centre = np.array(((width - 1) / 2, (height - 1) / 2), np.float32)
+    return InverseWarp(
+        lambda uv: perspective_rays(uv, hfov_rad, width, height), (width, height))
 
-    def bearings(uv):
-        xy = (uv - centre) / np.float32(focal_px)
-        rays = np.concatenate((xy, np.ones_like(xy[..., :1])), axis=-1)
-        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
-    return InverseWarp(bearings, (width, height))
+def perspective_rays(uv, hfov_rad, width, height):
+    """Return vectors (..., 3) along which pixels (..., 2) of a pinhole image look, z = 1."""
+    xy = (uv - np.array(((width - 1) / 2, (height - 1) / 2))) / focal_length_px(hfov_rad, width)
+    return np.concatenate((xy, np.ones_like(xy[..., :1])), axis=-1)

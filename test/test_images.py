@@ -118,9 +118,6 @@ def jpeg_with_damaged_header():
     (broken(data=BGR.ravel()[:-1]), 'truncated data'),
     (broken(data=BGR.ravel()[:0]), 'truncated data'),
     (broken(data=np.append(BGR.ravel(), 0).astype(np.uint8)), 'wrong step'),
-    (raw_message(BGR[:, :124], 'bgr8'), 'not 2:1'),
-    (raw_message(BGR[1:], 'bgr8'), 'not 2:1'),
-    (compressed_message(cv2.imencode('.jpg', BGR[:, :124])[1]), 'not 2:1'),
     (cut('.jpg', 0.5), 'truncated JPEG'),
     (cut('.jpg', 0.99), 'truncated JPEG'),
     (cut('.png', 0.5), 'truncated PNG'),
@@ -128,7 +125,7 @@ def jpeg_with_damaged_header():
     (compressed_message(b''), 'not JPEG or PNG'),
     (compressed_message(b'RIFF....WEBP'), 'not JPEG or PNG'),
 ])
-def test_what_is_not_a_whole_sphere_is_named(message, reason):
+def test_what_is_not_a_whole_picture_is_named(message, reason):
     """Each fault has its reason, and one line that tells it."""
     with pytest.raises(ImageError) as error:
         image_from_message(message)

@@ -161,16 +161,15 @@ def test_raw_images_are_read_exactly(tmp_path):
 
 def test_faulty_pictures_are_left_out_counted_and_named_once(tmp_path, caplog):
     """Good frames before and after a fault are still given."""
-    faults = [{'encoding': 'bayer'}, {'step': 1}, {'data': IMAGE.ravel()[:100]}, {'width': 0},
-              {'width': 100, 'step': 300, 'data': IMAGE.ravel()[:300 * len(IMAGE)]}]
+    faults = [{'encoding': 'bayer'}, {'step': 1}, {'data': IMAGE.ravel()[:100]}, {'width': 0}]
     with BagWriter(tmp_path / 'bag') as bag:
         for stamp_ns, changes in enumerate([{}, *faults, {}, *faults, {}], 1):
             bag.write('/image', raw_image(bag, stamp_ns, **changes), stamp_ns)
     recording = open_recording(tmp_path / 'bag')
-    assert [frame.stamp_ns for frame in recording.frames()] == [1, 7, 13]
+    assert [frame.stamp_ns for frame in recording.frames()] == [1, 6, 11]
     assert recording.skipped == {'unknown encoding': 2, 'wrong step': 2, 'truncated data': 2,
-                                 'zero size': 2, 'not 2:1': 2}
-    assert len(caplog.records) == 5
+                                 'zero size': 2}
+    assert len(caplog.records) == 4
 
 
 def test_a_truncated_jpeg_in_the_middle_is_left_out(tmp_path):

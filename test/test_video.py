@@ -168,14 +168,6 @@ def test_damage_in_the_middle_costs_only_the_pictures_there(tmp_path):
     assert stamps_ns[0] == 0 and stamps_ns[-1] == 40 * 10**6 * (COUNT - 1)
 
 
-def test_pictures_that_are_no_sphere_are_left_out(tmp_path, caplog):
-    """4:3 is named once and counted."""
-    recording = open_recording(encode(tmp_path / 'a.mp4', 3 * [IMAGE[:, :170]]))
-    assert list(recording.frames()) == []
-    assert recording.skipped == {'not 2:1': 3}
-    assert len(caplog.records) == 1 and '170x128' in caplog.text
-
-
 def test_a_video_has_no_topics(turning_video):
     """Asking for one is a mistake."""
     with pytest.raises(RecordingError, match='no topic /image'):

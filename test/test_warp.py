@@ -20,9 +20,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import bearing_grid, bearings_from_pixels, pixels_from_bearings
+from sph_stab_ros.projection import TOLERANCE_PX
 from sph_stab_ros.warp import (
-    equirect_warp, focal_length_px, perspective_view, perspective_warp, rotate_equirect,
-    TOLERANCE_PX, view_rotation)
+    equirect_warp, focal_length_px, InverseWarp, perspective_rays, perspective_view,
+    perspective_warp, rotate_equirect, view_rotation)
 
 ROTATIONS = [
     Rotation.identity(), *Rotation.random(4, random_state=1),
@@ -36,19 +37,46 @@ def smooth_sphere(width, R_world_camera=Rotation.identity()):
     return np.uint8(np.rint(128 + 100 * np.stack(waves, axis=-1)))
 
 
-def pixel_distance(map_uv, exact_uv, width):
-    """Return the distances in equatorial pixels between two maps into a sphere ``width`` wide."""
-    moved = bearings_from_pixels(map_uv.astype(float), width)
-    exact = bearings_from_pixels(exact_uv, width)
-    return np.linalg.norm(moved - exact, axis=-1) * width / (2 * np.pi)
+def misses_px(warp, R, target_bearings, width):
+    """
+    Return by how many equatorial pixels each target pixel looks beside its bearing (h, w, 3).
+
+    Read from a sphere ``width`` wide that holds its own bearings; beyond the centres of the
+    outermost rows these are the rows'.
+    """
+    exact_uv = pixels_from_bearings(target_bearings @ R.as_matrix().T, width)
+    exact_uv[..., 1] = exact_uv[..., 1].clip(0, width / 2 - 1)
+    seen = warp(bearing_grid(width), R)
+    seen /= np.linalg.norm(seen, axis=-1, keepdims=True)
+    return np.linalg.norm(
+        seen - bearings_from_pixels(exact_uv, width), axis=-1) * width / (2 * np.pi)
 
 
 @pytest.mark.parametrize('R', ROTATIONS)
 @pytest.mark.parametrize('width', (128, 638))
-def test_interpolated_map_is_the_exact_one_everywhere(R, width):
-    u, v = equirect_warp(width).source_pixels(R, 640)
-    exact = pixels_from_bearings(bearing_grid(width).astype(float) @ R.as_matrix().T, 640)
-    assert pixel_distance(np.stack((u, v), axis=-1), exact, 640).max() < 1.5 * TOLERANCE_PX
+def test_every_pixel_is_read_from_where_it_looks(R, width):
+    exact = bearing_grid(width).astype(float)
+    assert misses_px(equirect_warp(width), R, exact, 640).max() < 1.5 * TOLERANCE_PX
+
+
+@pytest.mark.parametrize('R', ROTATIONS)
+def test_nodes_may_look_elsewhere_from_call_to_call(R):
+    """As the nodes of another warp do; the one asked keeps its own."""
+    warp = equirect_warp(640)
+    R_other = Rotation.random(random_state=8)
+    node_bearings = 3 * bearings_from_pixels(warp.nodes_px, 640) @ R_other.as_matrix().T
+    sphere = smooth_sphere(640)
+    np.testing.assert_allclose(
+        warp(sphere, R, node_bearings=node_bearings).astype(int),
+        rotate_equirect(sphere, R * R_other), atol=1)
+
+
+@pytest.mark.parametrize('size_wh', ((1, 1), (5, 17), (1000, 2), (61, 45)))
+def test_targets_may_have_any_size(size_wh):
+    warp = InverseWarp(lambda uv: bearings_from_pixels(uv, 640), size_wh)
+    sphere = smooth_sphere(640)
+    expected = sphere[:size_wh[1], np.arange(size_wh[0]) % 640]
+    np.testing.assert_array_equal(warp(sphere, Rotation.identity()), expected)
 
 
 @pytest.mark.parametrize('R', ROTATIONS)
@@ -88,16 +116,15 @@ def test_shapes_and_types_are_kept(shape):
 @pytest.mark.parametrize('R', ROTATIONS)
 def test_views_project_by_a_pinhole(R):
     width, height, hfov_rad = 90, 60, np.deg2rad(100)
-    u, v = perspective_warp(hfov_rad, width, height).source_pixels(R, 640)
     x, y = np.meshgrid(np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2)
     rays = np.stack((x, y, np.full_like(x, focal_length_px(hfov_rad, width))), axis=-1)
-    exact = pixels_from_bearings(rays @ R.as_matrix().T, 640)
-    assert pixel_distance(np.stack((u, v), axis=-1), exact, 640).max() < 1.5 * TOLERANCE_PX
+    warp = perspective_warp(hfov_rad, width, height)
+    assert misses_px(warp, R, rays, 640).max() < 1.5 * TOLERANCE_PX
 
 
 def test_the_field_of_view_is_the_width_of_the_image():
-    edge = perspective_warp(np.deg2rad(90), 100, 50).target_bearings(np.array((-0.5, 24.5)))
-    np.testing.assert_allclose(edge, (-np.sqrt(0.5), 0, np.sqrt(0.5)), atol=1e-6)
+    edge = perspective_rays(np.array((-0.5, 24.5)), np.deg2rad(90), 100, 50)
+    np.testing.assert_allclose(edge, (-1, 0, 1), atol=1e-6)
 
 
 @pytest.mark.parametrize('hfov_deg', (0, 180, 200, -10))

@@ -29,7 +29,7 @@ class RecordingError(Exception):
 
 class Recording(Protocol):
     """
-    A recorded spherical video, read front to back with constant memory.
+    A recorded video, read front to back with constant memory.
 
     ``name`` tells it from others; ``topics`` maps topics to message types (none in a video) and
     ``image_topic`` is where the images come from (None in a video);
@@ -44,7 +44,7 @@ class Recording(Protocol):
     skipped: Counter
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the whole 2:1 pictures in the recording's order, whatever their stamps."""
+        """Yield the whole pictures in the recording's order, whatever their stamps."""
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield the time of receipt in ns and the message, for each message of a topic."""

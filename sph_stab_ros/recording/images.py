@@ -22,8 +22,6 @@ both work.
 import cv2
 import numpy as np
 
-from sph_stab_ros.equirect import is_equirect
-
 JPEG_QUALITY = 90
 
 # Encoding: channels, and the conversion into BGR or grey where one is needed.
@@ -51,21 +49,12 @@ class ImageError(ValueError):
 
 def image_from_message(msg):
     """
-    Return the sphere (H, W, 3) BGR or (H, W) grey, uint8, of an Image or CompressedImage message.
+    Return the picture (H, W, 3) BGR or (H, W) grey, uint8, of an Image or CompressedImage message.
 
     The array may share its memory with the message and is not to be written to. ImageError where
-    the message is not a whole picture of a sphere.
+    the message is not a whole picture.
     """
-    image = image_from_raw(msg) if hasattr(msg, 'encoding') else image_from_compressed(msg.data)
-    return require_equirect(image)
-
-
-def require_equirect(image):
-    """Return ``image`` if it is 2:1, else raise ImageError."""
-    if not is_equirect(image.shape):
-        height, width = image.shape[:2]
-        raise ImageError('not 2:1', f'a sphere is twice as wide as high, this is {width}x{height}')
-    return image
+    return image_from_raw(msg) if hasattr(msg, 'encoding') else image_from_compressed(msg.data)
 
 
 def image_from_raw(msg):

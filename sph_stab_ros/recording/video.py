@@ -21,7 +21,6 @@ import numpy as np
 
 from sph_stab_ros.frame import Frame
 from sph_stab_ros.recording.base import RecordingError, SkipLog
-from sph_stab_ros.recording.images import ImageError, require_equirect
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 from sph_stab_ros.trajectory import NS_PER_S
 
@@ -87,10 +86,7 @@ class VideoRecording:
                         continue
                     for picture in self._decoded(packet):
                         end_s = float(picture.pts * picture.time_base)
-                        try:
-                            yield _frame(picture, stream.sample_aspect_ratio)
-                        except ImageError as error:
-                            self._skip_log.add(error.reason, error)
+                        yield _frame(picture, stream.sample_aspect_ratio)
                         count += 1
             except av.FFmpegError as error:
                 logger.debug('%s: %r', self.name, error)
@@ -127,13 +123,13 @@ class VideoRecording:
 
 
 def _frame(picture, pixel_aspect):
-    """Return the Frame of a decoded picture; ImageError where it is not 2:1."""
+    """Return the Frame of a decoded picture."""
     width, height = square_pixel_size(picture.width, picture.height, pixel_aspect)
     image = picture.to_ndarray(format='bgr24', width=width, height=height)
     if picture.rotation:
         image = np.ascontiguousarray(np.rot90(image, round(picture.rotation / 90)))
     stamp_ns = round(Fraction(picture.pts) * picture.time_base * NS_PER_S)
-    return Frame(require_equirect(image), stamp_ns)
+    return Frame(image, stamp_ns)
 
 
 def square_pixel_size(width, height, pixel_aspect):

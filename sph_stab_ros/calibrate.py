@@ -1,0 +1,122 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+Refine the calibration of two fisheye lenses from a recording by what both of them see.
+
+The recording should turn about all axes, somewhere with texture all around and nothing nearer
+than a metre or two.
+"""
+
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
+import sys
+
+import cv2
+import numpy as np
+
+from sph_stab_ros.calibration_file import calibration_text, read_calibration
+from sph_stab_ros.command_line import add_recording, frames_to_read, Parser, run
+from sph_stab_ros.config import ConfigError, FisheyeConfig
+from sph_stab_ros.fisheye import fits
+from sph_stab_ros.lens_calibration import calibrate, CalibrationError, for_size
+from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording.output import partial_output
+
+from tqdm import tqdm
+
+# Spread over the recording; more change little.
+PICTURES = 60
+# Taken where a recording does not tell how long it is.
+STEP = 10
+
+
+def spread_images(recording, config, max_frames=None, progress=iter):
+    """
+    Return grey images (H, W) of one size, at most PICTURES, spread over a recording.
+
+    Raises RecordingError where none fits the FisheyeConfig.
+    """
+    total = frames_to_read(recording, max_frames)
+    step = -(-total // PICTURES) if total else STEP
+    greys, sizes = [], set()
+    with closing(recording.frames()) as frames:
+        for number, frame in enumerate(progress(islice(frames, max_frames))):
+            if number % step or len(greys) == PICTURES:
+                continue
+            image = frame.image
+            height, width = image.shape[:2]
+            sizes.add(f'{width}x{height}')
+            if fits(config, (width, height)) and (not greys or greys[0].shape == image.shape[:2]):
+                greys.append(
+                    cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image)
+    if not greys:
+        raise RecordingError(
+            f'{recording.name} has no pictures that the calibration to start from is for, '
+            f'{config.width}x{config.height} or scaled ({", ".join(sorted(sizes)) or "none"})')
+    return greys
+
+
+def report(recording, greys, calibration):
+    """Yield the lines that tell of a Calibration."""
+    yield (f'{recording.name}: {len(calibration.after_rad)} corners seen by both lenses in '
+           f'{len(greys)} pictures')
+    for when, angles_rad in (('before', calibration.before_rad), ('after', calibration.after_rad)):
+        median, most = np.rad2deg(np.percentile(angles_rad, (50, 95)))
+        yield f'disagreement {when}: median {median:.3f} deg, 95 % below {most:.3f} deg'
+
+
+def arguments(argv):
+    """Return the parsed command line and the start, a FisheyeConfig; exit 2 on a wrong call."""
+    parser = Parser(prog='calibrate', description=__doc__)
+    add_recording(parser, 'REC')
+    parser.add_argument('--out', metavar='FILE.yaml', type=Path, required=True,
+                        help='where to write the parameters of the node')
+    parser.add_argument('--calibration', metavar='FILE.yaml', type=Path,
+                        help="the calibration to start from (default: a Theta S's)")
+    parser.add_argument('--force', action='store_true', help='replace FILE.yaml')
+    args = parser.parse_args(argv)
+    try:
+        start = read_calibration(args.calibration) if args.calibration else FisheyeConfig()
+    except ConfigError as error:
+        parser.error(f'--calibration: {error}')
+    return args, start
+
+
+def main(argv=None):
+    """Run the command line; return the exit status."""
+    args, start = arguments(argv)
+
+    def command():
+        recording = open_recording(args.recording, args.image_topic)
+        with partial_output(args.out, args.force) as path:
+            greys = spread_images(recording, start, args.max_frames, lambda frames: tqdm(
+                frames, total=frames_to_read(recording, args.max_frames), unit=' frames',
+                disable=None))
+            try:
+                calibration = calibrate(greys, for_size(start, greys[0].shape[::-1]))
+            except CalibrationError as error:
+                raise RecordingError(f'{recording.name}: {error}') from error
+            lines = list(report(recording, greys, calibration))
+            path.write_text(calibration_text(calibration.config, ''.join(
+                f'# {line}\n' for line in ('Written by calibrate.', *lines))))
+        for line in lines:
+            print(line)
+
+    return run('calibrate', command)
+
+
+if __name__ == '__main__':
+    sys.exit(main())
