@@ -29,7 +29,11 @@ cancel: ``R_a_c = R_a_b * R_b_c``. They are ``scipy.spatial.transform.Rotation``
 border; raw 3×3 matrices live only inside kernels.
 
 **World** is the stabilised frame: the camera's orientation at the first frame or at the last
-reset. The published orientation is ``R_world_camera``.
+reset, or, with a level horizon, y down along gravity and the camera's heading then along z. The
+published orientation is ``R_world_camera``.
+
+**Virtual camera.** The pictures are those of a camera of orientation ``R_world_virtual``: the
+world's, or smoothed from the camera's.
 
 **Direction of time.** A point seen at ``x`` in the previous frame is seen at ``x'`` in the
 current one; an estimator returns ``R_current_previous`` with ``x' ≈ R_current_previous x``
@@ -43,7 +47,7 @@ opposite to the camera's motion, and the flow points towards it.
 **Euler angles** of the paper: ``R = R_x(α) R_y(β) R_z(γ)``, SciPy's intrinsic ``'XYZ'``.
 Reports speak of roll, pitch and yaw of the body (REP 103: x forward, y left, z up).
 
-**View.** ``R_world_view`` from yaw (positive left), pitch (positive up) and roll (positive
+**View.** ``R_virtual_view`` from yaw (positive left), pitch (positive up) and roll (positive
 clockwise as seen); fields of view are horizontal.
 
 **Units.** Radians, seconds, integer nanoseconds; ``_rad``, ``_deg``, ``_px``, ``_ns`` in names

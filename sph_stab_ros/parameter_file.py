@@ -50,7 +50,14 @@ def _entry(key, option):
     """Return the lines of one option: description, allowed values, default."""
     when = '' if option.live else ' (at start only)'
     lines = wrap(f'{option.description}{_allowed(option)}{when}.', width=88)
-    return ''.join(f'# {line}\n' for line in lines) + f'{key}: {option.default!r}\n'
+    return ''.join(f'# {line}\n' for line in lines) + f'{key}: {_yaml(option.default)}\n'
+
+
+def _yaml(value):
+    """Return a value as YAML has it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(list(value) if isinstance(value, tuple) else value)
 
 
 def _allowed(option):

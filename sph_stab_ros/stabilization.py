@@ -14,26 +14,41 @@
 
 """The whole algorithm: track the camera's orientation, take it out of the picture."""
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from enum import Enum
 
-import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import MIN_WIDTH, StabilizerConfig
+from sph_stab_ros.config import DUAL_FISHEYE, MIN_WIDTH, StabilizerConfig
 from sph_stab_ros.equirect import is_equirect
+from sph_stab_ros.fisheye import dual_fisheye, fits
 from sph_stab_ros.frame import Frame
+from sph_stab_ros.imu import ImuHistory, mount_rotation
+from sph_stab_ros.level import Gravity, IMU, Leveler, LevelError
+from sph_stab_ros.projection import Equirect, Projection
+from sph_stab_ros.smoothing import Smoother
 from sph_stab_ros.trackers import make_tracker, TrackingStatus, working_width
 from sph_stab_ros.trajectory import NS_PER_S
-from sph_stab_ros.warp import perspective_view, rotate_equirect, view_rotation
+from sph_stab_ros.warp import equirect_warp, perspective_warp, view_rotation
 
 # Without a frame for so long, motion in between is guesswork.
 LONG_GAP_S = 1.0
+# Two seconds of a fast IMU.
+IMU_INBOX_SIZE = 2000
 
 
 class FrameError(ValueError):
-    """A frame that cannot be used, with the reason in one line for the user."""
+    """
+    A frame that cannot be used, in one line for the user.
+
+    ``reason`` is one of a few fixed phrases, by which such frames are counted.
+    """
+
+    def __init__(self, reason, detail):
+        super().__init__(f'{reason}: {detail}')
+        self.reason = reason
 
 
 class Notice(Enum):
@@ -42,45 +57,93 @@ class Notice(Enum):
     RESIZED = 'the image size changed; tracking starts anew from the last orientation'
     STAMP_NOT_INCREASING = 'the stamp is not later than the one before'
     GAP = f'no frame for more than {LONG_GAP_S:g} s'
+    NO_GRAVITY = f'no usable force from the IMU for more than {LONG_GAP_S:g} s to level by'
 
 
 @dataclass(frozen=True)
 class StabilizedFrame:
-    """A frame with its orientation; pictures are computed when they are asked for."""
+    """
+    A frame with its orientation; pictures are computed when they are asked for.
+
+    They are those of the virtual camera, of orientation ``R_world_virtual``.
+    """
 
     frame: Frame
     R_world_camera: Rotation
     status: TrackingStatus
     notices: tuple[Notice, ...] = ()
+    # As TrackedOrientation's.
+    covariance: np.ndarray | None = None
+    R_world_virtual: Rotation = field(default_factory=Rotation.identity)
+    # Of the frame's image; None where it is equirectangular.
+    projection: Projection | None = None
 
     @property
     def stamp_ns(self):
         """Stamp of the input frame in nanoseconds."""
         return self.frame.stamp_ns
 
-    def sphere(self):
-        """Return the derotated equirectangular image, of the input's size."""
-        return rotate_equirect(self.frame.image, self.R_world_camera.inv())
+    @property
+    def uncertainty_rad(self):
+        """One standard deviation about the least certain axis; None where it is not known."""
+        if self.covariance is None:
+            return None
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[-1], 0)))
 
-    def view(self, R_world_view, hfov_rad, size_wh):
-        """Return the virtual rotation-less camera's perspective image (h, w[, C])."""
-        R_camera_view = self.R_world_camera.inv() * R_world_view
-        return perspective_view(self.frame.image, R_camera_view, hfov_rad, size_wh)
+    @property
+    def R_camera_virtual(self):
+        """Return what turns the virtual camera's bearings into the camera's."""
+        return self.R_world_camera.inv() * self.R_world_virtual
+
+    def sphere(self):
+        """Return the virtual camera's equirectangular image, as fine as the input."""
+        return self.seen_along(self.R_camera_virtual)
+
+    def view(self, R_virtual_view, hfov_rad, size_wh):
+        """Return a perspective image (h, w[, C]) along a direction of the virtual camera's."""
+        return self.seen_along(self.R_camera_virtual * R_virtual_view, hfov_rad, size_wh)
+
+    def seen_along(self, R_camera_target, hfov_rad=None, size_wh=None):
+        """Return what a camera turned against this one sees: the sphere, or a perspective view."""
+        image = self.frame.image
+        if hfov_rad is None:
+            width = self.projection.sphere_width if self.projection else image.shape[1]
+            warp = equirect_warp(width)
+        else:
+            warp = perspective_warp(float(hfov_rad), *size_wh)
+        return warp(image, R_camera_target, self.projection)
 
 
 class Stabilizer:
     """Takes the camera's rotation out of a stream of frames."""
 
     def __init__(self, config=StabilizerConfig()):
+        # Filled by add_imu, in another thread maybe, and emptied by process.
+        self._imu_inbox = deque(maxlen=IMU_INBOX_SIZE)
+        self._imu = ImuHistory()
+        self._gravity = Gravity()
+        self._leveler = Leveler()
+        self._smoother = Smoother()
         self.config = config
         self.reset()
+
+    @property
+    def tracker(self):
+        """Return the Tracker at work; None before the first frame."""
+        return self._tracker
 
     def reset(self):
         """Make the next frame's orientation the world's."""
         self._tracker = None
         self._last = None
-        self._R_world_start = Rotation.identity()
-        self._R_world_camera = Rotation.identity()
+        # The tracker's orientations count from the origin, the world is that made level.
+        self._R_origin_start = Rotation.identity()
+        self._R_origin_camera = Rotation.identity()
+        self._gravity.reset()
+        self._leveler.reset()
+        self._smoother.reset()
+        # Of the start and of the last frame; None where it is not known.
+        self._start_covariance = self._covariance = np.zeros((3, 3))
 
     def reconfigure(self, config):
         """
@@ -90,18 +153,42 @@ class Stabilizer:
         """
         if config.tracker != self.config.tracker:
             self._tracker = None
+        if (config.projection, config.fisheye) != (self.config.projection, self.config.fisheye):
+            self._tracker = self._last = None
+        if config.imu != self.config.imu:
+            self._imu.clear()
+        if (config.imu, config.level) != (self.config.imu, self.config.level):
+            self._gravity.reset()
         self.config = config
+
+    def add_imu(self, sample):
+        """Take in an ImuSample; may be called from any thread while frames are processed."""
+        self._imu_inbox.append(sample)
+
+    def level_here(self):
+        """Make the present orientation level, keeping its heading, or raise LevelError."""
+        if self.config.level == IMU:
+            raise LevelError('the IMU says what is level')
+        self._leveler.level_here()
 
     def process(self, frame):
         """Return the StabilizedFrame of the next Frame, or raise FrameError."""
-        check_size(frame.image)
+        self._projection = projection_of(frame.image, self.config)
         notices = tuple(self._notices(frame))
         if self._tracker is None or Notice.RESIZED in notices:
             self._start(frame)
+        self._take_in_imu()
         tracked = self._track(frame)
-        self._R_world_camera = self._R_world_start * tracked.R_world_camera
+        self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
+        self._covariance = self._in_origin(tracked.covariance)
+        R_world_origin = self._level(frame.stamp_ns)
+        R_world_camera = R_world_origin * self._R_origin_camera
+        R_world_virtual = self._smoother.update(
+            self.config.smoothing, frame.stamp_ns, R_world_camera)
         self._last = frame
-        return StabilizedFrame(frame, self._R_world_camera, tracked.status, notices)
+        return StabilizedFrame(
+            frame, R_world_camera, tracked.status, notices,
+            turned(self._covariance, R_world_origin), R_world_virtual, self._projection)
 
     def _notices(self, frame):
         if self._last is None:
@@ -113,35 +200,74 @@ class Stabilizer:
             yield Notice.STAMP_NOT_INCREASING
         elif elapsed_s > LONG_GAP_S:
             yield Notice.GAP
+        if self.config.level == IMU and self._gravity.age_s(frame.stamp_ns) > LONG_GAP_S:
+            yield Notice.NO_GRAVITY
 
     def _start(self, frame):
         """Start a tracker for frames of this size, in the orientation and place reached so far."""
-        self._working_width = min(working_width(self.config.tracker), frame.image.shape[1])
-        self._tracker = make_tracker(self.config.tracker, self._working_width)
-        self._R_world_start = self._R_world_camera
+        self._working_width = min(
+            working_width(self.config.tracker), self._projection.sphere_width)
+        self._tracker = make_tracker(
+            self.config.tracker, self._working_width, self._imu.turn_between)
+        self._R_origin_start = self._R_origin_camera
+        self._start_covariance = self._covariance
         if self._last is not None and self._last.image.shape[:2] == frame.image.shape[:2]:
             self._track(self._last)
 
+    def _in_origin(self, covariance):
+        """Return a covariance (3, 3) of the tracker's with that of its start added."""
+        if covariance is None or self._start_covariance is None:
+            return None
+        return self._start_covariance + turned(covariance, self._R_origin_start)
+
+    def _take_in_imu(self):
+        imu = self.config.imu
+        R_camera_imu = mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg)))
+        while self._imu_inbox:
+            self._imu.add(self._imu_inbox.popleft(), R_camera_imu)
+
+    def _level(self, stamp_ns):
+        """Return R_world_origin."""
+        up = None
+        if self.config.level == IMU:
+            self._gravity.weigh(stamp_ns, self._R_origin_camera, self._imu)
+            up = self._gravity.up
+        return self._leveler.update(stamp_ns, self._R_origin_camera, up)
+
     def _track(self, frame):
-        return self._tracker.track(to_grey(frame.image, self._working_width), frame.stamp_ns)
+        grey = self._projection.grey_sphere(frame.image, self._working_width)
+        return self._tracker.track(grey, frame.stamp_ns)
 
 
-def check_size(image):
-    """Raise FrameError where an image (H, W[, C]) is not a sphere of a useful size."""
+def projection_of(image, config):
+    """Return the Projection of an image (H, W[, C]) by a StabilizerConfig, or raise FrameError."""
     height, width = image.shape[:2]
-    if not is_equirect(image.shape):
-        raise FrameError(f'the image is {width}x{height}; an equirectangular image is 2:1')
-    if width < MIN_WIDTH:
-        raise FrameError(f'the image is {width} px wide; at least {MIN_WIDTH} are needed')
+    if config.projection == DUAL_FISHEYE:
+        fisheye = config.fisheye
+        if not fits(fisheye, (width, height)):
+            raise FrameError(
+                'not as calibrated', f'the image is {width}x{height}, the calibration of the '
+                f'fisheye lenses is for {fisheye.width}x{fisheye.height}')
+        projection = dual_fisheye(fisheye, (width, height))
+    elif is_equirect(image.shape):
+        projection = Equirect(width)
+    else:
+        raise FrameError('not 2:1', f'an equirectangular image is twice as wide as high, this is '
+                         f'{width}x{height}')
+    if projection.sphere_width < MIN_WIDTH:
+        raise FrameError('unusable size', f'the sphere is {projection.sphere_width} px around, at '
+                         f'least {MIN_WIDTH} are needed')
+    return projection
 
 
-def to_grey(image, width):
-    """Return the image (H, W[, 3]), BGR or grey, as a grey one (width / 2, width)."""
-    if image.shape[1] != width:
-        image = cv2.resize(image, (width, width // 2), interpolation=cv2.INTER_AREA)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+def turned(covariance, R):
+    """Return a covariance (3, 3), or None, in the frame that R turns into."""
+    if covariance is None:
+        return None
+    R = R.as_matrix()
+    return R @ covariance @ R.T
 
 
 def view_direction(view):
-    """Return R_world_view of a ViewConfig."""
+    """Return R_virtual_view of a ViewConfig."""
     return view_rotation(*np.deg2rad((view.yaw_deg, view.pitch_deg, view.roll_deg)))

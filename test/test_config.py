@@ -32,7 +32,8 @@ def test_options_are_complete_and_round_trip(option):
     assert option.check(option.default) == option.default
     assert get_option(NodeConfig(), option.name) == option.default
     assert with_option(NodeConfig(), option.name, option.default) == NodeConfig()
-    assert (option.minimum is None) == (option.maximum is None) == isinstance(option.default, str)
+    numeric = type(option.default) in (int, float)
+    assert numeric == (option.minimum is not None) == (option.maximum is not None)
 
 
 @pytest.mark.parametrize('option', [one for one in ALL if one.minimum is not None],

@@ -19,7 +19,7 @@ import numpy as np
 from sph_stab_ros.config import ANCHORED
 from sph_stab_ros.masks import load_mask
 from sph_stab_ros.trackers.anchored import AnchoredTracker
-from sph_stab_ros.trackers.base import TrackedOrientation, Tracker, TrackingStatus
+from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, Tracker, TrackingStatus
 from sph_stab_ros.trackers.chain import ChainTracker
 
 # Corners gain from resolution, dense flow costs by it.
@@ -37,13 +37,18 @@ def working_width(config):
     return ANCHORED_WIDTH if config.estimator == ANCHORED else CHAIN_WIDTH
 
 
-def make_tracker(config, width):
-    """Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide."""
+def make_tracker(config, width, turn_between=no_gyro):
+    """
+    Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
+
+    ``turn_between(from_ns, to_ns)`` returns the turn ``R_from_to`` that a gyro has seen between
+    two stamps, or None.
+    """
     used = load_mask(config.mask, width)
     if config.estimator == ANCHORED:
-        return AnchoredTracker(width, used, config.max_prediction_s)
+        return AnchoredTracker(width, used, config.max_prediction_s, turn_between)
     bound_deg = config.epipolar_bound_deg
     return ChainTracker(
-        config.estimator, used, config.max_prediction_s,
+        config.estimator, used, config.max_prediction_s, turn_between,
         flow=config.flow, flow_updates=config.flow_updates,
         epipolar_bound_rad=np.deg2rad(bound_deg) if bound_deg < 180 else np.inf)

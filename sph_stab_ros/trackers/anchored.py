@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.equirect import pixels_from_bearings
 from sph_stab_ros.flow import has_texture
 from sph_stab_ros.trackers.band import Band, MARGIN_PX
-from sph_stab_ros.trackers.base import TrackedOrientation, TrackingStatus
+from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.trackers.keyframe import Keyframe, MIN_POINTS, MIN_WEIGHT, PRIOR_INFORMATION
 from sph_stab_ros.trackers.still_pixels import StillPixels
 from sph_stab_ros.trackers.thumbnail import align, difference, Thumbnail
@@ -66,13 +66,16 @@ class AnchoredTracker:
         Pixels to use.
     max_prediction_s : float
         For how long the last angular velocity is trusted.
+    turn_between : callable
+        Returns the turn ``R_from_to`` between two stamps, or None.
 
     """
 
-    def __init__(self, width, used=None, max_prediction_s=0.5):
+    def __init__(self, width, used=None, max_prediction_s=0.5, turn_between=no_gyro):
         self._band = Band(width)
         self._used = used
         self._max_prediction_s = max_prediction_s
+        self._turn_between = turn_between
         self.reset()
 
     def reset(self):
@@ -244,16 +247,24 @@ class AnchoredTracker:
 
     def _turn_since(self, stamp_ns):
         """Return the turn R_last_camera expected since the last frame that showed something."""
+        measured = self._measured_turn_since(stamp_ns)
+        if measured is not None:
+            return measured
         if self._angular_velocity_rad_s is None:
             return Rotation.identity()
         elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
         trusted_s = min(max(elapsed_s, 0), self._max_prediction_s)
         return Rotation.from_rotvec(self._angular_velocity_rad_s * trusted_s)
 
+    def _measured_turn_since(self, stamp_ns):
+        """Return the same as the gyro saw it, None where it did not."""
+        return None if self._stamp_ns is None else self._turn_between(self._stamp_ns, stamp_ns)
+
     def _predicted(self, stamp_ns):
-        """Turn the last orientation on at its angular velocity; hold it where that is too old."""
-        in_time = (self._angular_velocity_rad_s is not None
-                   and 0 <= stamp_ns - self._stamp_ns <= self._max_prediction_s * NS_PER_S)
+        """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
+        in_time = self._measured_turn_since(stamp_ns) is not None or (
+            self._angular_velocity_rad_s is not None
+            and 0 <= stamp_ns - self._stamp_ns <= self._max_prediction_s * NS_PER_S)
         return TrackedOrientation(
             self._R_out_world * self._R_world_camera * self._turn_since(stamp_ns),
             TrackingStatus.PREDICTED if in_time else TrackingStatus.LOST)

@@ -46,6 +46,10 @@ class TrackedOrientation:
     covariance: np.ndarray | None = None
 
 
+def no_gyro(from_ns, to_ns):
+    """Return None for the turn ``R_from_to`` between two stamps: there is no gyro to tell."""
+
+
 class Tracker(Protocol):
     """What every tracker does."""
 

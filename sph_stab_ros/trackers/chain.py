@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.flow import has_texture
 from sph_stab_ros.image_pair import ImagePair, METHODS, Sphere
-from sph_stab_ros.trackers.base import TrackedOrientation, TrackingStatus
+from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.trajectory import NS_PER_S
 
 
@@ -37,16 +37,20 @@ class ChainTracker:
         Pixels to use.
     max_prediction_s : float
         For how long the last angular velocity is trusted.
+    turn_between : callable
+        Returns the turn ``R_from_to`` between two stamps, or None.
     pair_options :
         Those of ImagePair.
 
     """
 
-    def __init__(self, method, used=None, max_prediction_s=0.5, **pair_options):
+    def __init__(self, method, used=None, max_prediction_s=0.5, turn_between=no_gyro,
+                 **pair_options):
         self._estimate = METHODS[method]
         self._pair_options = pair_options
         self._used = used
         self._max_prediction_s = max_prediction_s
+        self._turn_between = turn_between
         self.reset()
 
     def reset(self):
@@ -84,7 +88,11 @@ class ChainTracker:
         self._R_world_reference = R_world_reference
 
     def _predicted(self, stamp_ns):
-        """Turn the last orientation on at its angular velocity; hold it where that is too old."""
+        """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
+        turn = (None if self._reference is None
+                else self._turn_between(self._reference_stamp_ns, stamp_ns))
+        if turn is not None:
+            return TrackedOrientation(self._R_world_reference * turn, TrackingStatus.PREDICTED)
         if self._angular_velocity_rad_s is None:
             return TrackedOrientation(self._R_world_reference, TrackingStatus.LOST)
         elapsed_s = (stamp_ns - self._reference_stamp_ns) / NS_PER_S
