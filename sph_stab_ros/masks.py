@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sph_stab_ros.equirect import is_equirect
+from sph_stab_ros.equirect import is_equirect, row_solid_angles
 
 LATITUDE_PREFIX = 'lat:'
 
@@ -50,6 +50,12 @@ def load_mask(spec, width):
     if not used.any():
         raise MaskError(f"mask '{spec}' leaves no pixel to use")
     return used
+
+
+def share_of_sphere(pixels):
+    """Return the share of the whole solid angle that pixels (H, W) bool cover."""
+    width = pixels.shape[1]
+    return float(pixels.sum(axis=1) @ row_solid_angles(width) / (4 * np.pi))
 
 
 def antipodal(used):

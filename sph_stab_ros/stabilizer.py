@@ -13,17 +13,17 @@
 # limitations under the License.
 
 """
-The ROS 2 node: spherical images in; orientation, stabilised images and a steerable view out.
+The ROS 2 node: spherical images in; orientation, stabilised images and steerable views out.
 
 Subscribes to ``image`` (sensor_msgs/Image) or ``image/compressed`` (sensor_msgs/CompressedImage),
-as ``image_transport`` says, and to ``view/direction`` (geometry_msgs/QuaternionStamped,
-``R_world_view``). The view looks where this topic or the parameters ``view.yaw_deg``,
-``view.pitch_deg`` and ``view.roll_deg`` said last; setting one of them puts all three in force.
+as ``image_transport`` says, and for each view to what steers it, see ``ros.views``.
 
 Publishes ``orientation`` (geometry_msgs/QuaternionStamped, ``R_world_camera``),
-``stabilized/image``, ``view/image``, both with ``/compressed``, ``view/camera_info``, all with the
-image's stamp and only what somebody subscribes to, and ``/diagnostics``. ``~/reset``
-(std_srvs/Trigger) makes the next image's orientation the world's.
+``orientation_covariance`` (geometry_msgs/PoseWithCovarianceStamped) where the tracker knows it,
+``stabilized/image`` and, for each of the ``views``, ``view/image``, both with ``/compressed``,
+and ``view/camera_info``, ``/tf``, all with the image's stamp and only what somebody subscribes
+to, and ``/diagnostics``. ``~/reset`` (std_srvs/Trigger) makes the next image's orientation the
+world's, ``~/look_at_home`` turns all views to the world's front.
 
 The executor only stores the newest image and answers services and parameters; a worker thread
 decodes, stabilises and publishes. Images that come faster than that are dropped and counted.
@@ -34,8 +34,6 @@ from threading import Lock, Thread
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import QuaternionStamped
-import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -43,26 +41,25 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
-from sensor_msgs.msg import CameraInfo
 from sph_stab_ros.command_line import limit_blas_threads, Parser
-from sph_stab_ros.config import ConfigError
+from sph_stab_ros.config import ConfigError, VIEW
 from sph_stab_ros.frame import Frame
 from sph_stab_ros.masks import MaskError
 from sph_stab_ros.recording.images import image_from_message, ImageError
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
-from sph_stab_ros.ros.image_topics import (
-    advertise, ImagePublisher, is_wanted, subscribe_to_images)
-from sph_stab_ros.ros.messages import (
-    orientation_message, rotation_from_message, stamp_ns, view_camera_info)
+from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
+from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
-from sph_stab_ros.ros.parameters import (
-    changed_config, declare_parameters, undeclared_overrides)
-from sph_stab_ros.stabilization import FrameError, Stabilizer, view_direction
+from sph_stab_ros.ros.outputs import Outputs
+from sph_stab_ros.ros.parameters import declare_parameters, undeclared_overrides
+from sph_stab_ros.stabilization import FrameError, Stabilizer
+from sph_stab_ros.trajectory import NS_PER_S
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 DIAGNOSTICS_PERIOD_S = 1.0
-DIRECTION_PARAMETERS = {'view.yaw_deg', 'view.pitch_deg', 'view.roll_deg'}
+# Stamps that jitter by less are no jump back in time.
+MAX_JITTER_S = 0.1
 
 
 class StabilizerNode(Node):
@@ -70,36 +67,34 @@ class StabilizerNode(Node):
 
     def __init__(self):
         super().__init__('stabilizer')
-        self._config = declare_parameters(self)
-        self._accepted_config = self._config
-        self._stabilizer = Stabilizer(self._config)
-        self._R_world_view = view_direction(self._config.view)
-        self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._apply_parameters)
+        self._settings = self._accepted_settings = declare_parameters(self)
+        config = self._settings.config
+        self._stabilizer = Stabilizer(config)
+        self._last_stamp_ns = 0
         # Held while a frame is processed and published: a change is in effect once it is
         # acknowledged.
         self._lock = Lock()
 
-        self._orientation = advertise(self, QuaternionStamped, 'orientation', depth=10)
-        self._sphere = ImagePublisher(self, 'stabilized/image')
-        self._view = ImagePublisher(self, 'view/image')
-        self._view_info = advertise(self, CameraInfo, 'view/camera_info')
-        self.create_service(Trigger, '~/reset', self._on_reset)
-        self.create_subscription(QuaternionStamped, 'view/direction', self._on_direction, 10)
-        self._inbox = OneSlotMailbox()
-        images = subscribe_to_images(
-            self, 'image', self._config.image_transport, self._on_image)
-
-        self._log = ThrottledLog(self.get_logger().warning)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(),
                                         self.get_logger().warning)
-        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._outputs = Outputs(
+            self, self._settings, ThrottledLog(self.get_logger().warning), self._diagnostics.cpu)
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(Trigger, '~/look_at_home', self._on_look_at_home)
+        self._inbox = OneSlotMailbox()
+        images = subscribe_to_images(self, 'image', config.image_transport, self._on_image)
+
+        self._diagnostics_publisher = advertise(self, DiagnosticArray, '/diagnostics', depth=10)
         # By the steady clock: a heartbeat goes on when simulated time stands still.
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
         self._worker = Thread(target=self._work, name='worker')
         for name in undeclared_overrides(self):
-            self.get_logger().warning(f"there is no parameter '{name}'")
+            # A file of all defaults describes the view that there is by default.
+            if not name.startswith(f'{VIEW}.'):
+                self.get_logger().warning(f"there is no parameter '{name}'")
         self.get_logger().info(f'waiting for images on {images.topic_name}')
 
     def start(self):
@@ -122,16 +117,6 @@ class StabilizerNode(Node):
             msg.header.stamp = self.get_clock().now().to_msg()
         self._inbox.put((msg, monotonic()))
 
-    def _on_direction(self, msg):
-        """Look there until the direction is set again, by topic or parameter."""
-        if msg.header.frame_id not in ('', self._config.stabilized_frame):
-            self._log.warn('frame', f"view/direction is in frame '{msg.header.frame_id}', taken "
-                                    f"as '{self._config.stabilized_frame}'")
-        try:
-            self._R_world_view = rotation_from_message(msg)
-        except ValueError as error:
-            self._log.warn('direction', f'view/direction ignored: {error}')
-
     def _on_reset(self, request, response):
         with self._lock:
             self._stabilizer.reset()
@@ -139,9 +124,14 @@ class StabilizerNode(Node):
         return Trigger.Response(
             success=True, message='the next image defines the stabilized frame')
 
+    def _on_look_at_home(self, request, response):
+        self._outputs.look_home()
+        return Trigger.Response(
+            success=True, message="all views look at the stabilized frame's front")
+
     def _check_parameters(self, parameters):
         try:
-            self._accepted_config = changed_config(self._config, parameters)
+            self._accepted_settings = self._settings.changed(parameters)
         except (ConfigError, MaskError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -149,10 +139,9 @@ class StabilizerNode(Node):
     def _apply_parameters(self, parameters):
         """Take over what was accepted, after rclpy's own checks and those of others."""
         with self._lock:
-            self._config = self._accepted_config
-            self._stabilizer.reconfigure(self._config)
-            if DIRECTION_PARAMETERS.intersection(one.name for one in parameters):
-                self._R_world_view = view_direction(self._config.view)
+            self._settings = self._accepted_settings
+            self._stabilizer.reconfigure(self._settings.config)
+            self._outputs.reconfigure(self._settings, {one.name for one in parameters})
 
     def _publish_diagnostics(self):
         self._diagnostics_publisher.publish(DiagnosticArray(
@@ -168,32 +157,33 @@ class StabilizerNode(Node):
             except ImageError as error:
                 self._diagnostics.refuse(error.reason, error)
             except FrameError as error:
-                self._diagnostics.refuse('unusable size', error)
+                self._diagnostics.refuse(error.reason, error)
             except Exception as error:
                 # One frame must not end the node; after a shutdown nothing can be published.
                 if self.context.ok():
                     self._diagnostics.refuse(type(error).__name__, f'{error!r}')
 
     def _process(self, msg, received_s):
-        frame = Frame(image_from_message(msg), stamp_ns(msg.header.stamp), msg.header.frame_id)
+        cpu = self._diagnostics.cpu
+        with cpu.stage('decode'):
+            frame = Frame(
+                image_from_message(msg), stamp_ns(msg.header.stamp), msg.header.frame_id)
         with self._lock:
-            stabilized = self._stabilizer.process(frame)
-            self._publish(stabilized, msg.header.stamp)
-        self._diagnostics.count_frame(stabilized, monotonic() - received_s)
+            with cpu.stage('track'):
+                self._start_anew_where_time_went_back(frame.stamp_ns)
+                stabilized = self._stabilizer.process(frame)
+            self._outputs.publish(stabilized, msg.header)
+            tracker = self._stabilizer.tracker
+        self._diagnostics.count_frame(stabilized, monotonic() - received_s, tracker)
 
-    def _publish(self, stabilized, stamp):
-        config = self._config
-        header = Header(stamp=stamp, frame_id=config.stabilized_frame)
-        self._orientation.publish(orientation_message(header, stabilized.R_world_camera))
-        if self._sphere.wanted:
-            self._sphere.publish(header, stabilized.sphere(), config.jpeg_quality)
-        view_header = Header(stamp=stamp, frame_id=config.view_frame)
-        if is_wanted(self._view_info):
-            self._view_info.publish(view_camera_info(view_header, config.view))
-        if self._view.wanted:
-            image = stabilized.view(self._R_world_view, np.deg2rad(config.view.hfov_deg),
-                                    (config.view.width, config.view.height))
-            self._view.publish(view_header, image, config.jpeg_quality)
+    def _start_anew_where_time_went_back(self, time_ns):
+        """Reset before an image from the past: a bag begins again, a simulation was reset."""
+        back_s = (self._last_stamp_ns - time_ns) / NS_PER_S
+        self._last_stamp_ns = time_ns
+        if back_s > MAX_JITTER_S:
+            self._stabilizer.reset()
+            self._diagnostics.notice('time_went_back', f'the stamps went back by {back_s:.3f} s, '
+                                     'reset: this image defines the stabilized frame')
 
 
 def main(args=None):

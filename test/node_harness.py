@@ -23,26 +23,32 @@ import subprocess
 import sys
 import time
 
+import cv2
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import QuaternionStamped
+from geometry_msgs.msg import (
+    PoseWithCovarianceStamped, QuaternionStamped, Twist, Vector3)
+import numpy as np
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sph_stab_ros.equirect import bearing_grid
 from sph_stab_ros.recording.images import fill_compressed, fill_image
 from std_srvs.srv import Trigger
+from tiny_recordings import textured_sphere
 
+# By the ends of topics.
 TYPES = {
     'orientation': QuaternionStamped,
-    'stabilized/image': Image,
-    'stabilized/image/compressed': CompressedImage,
-    'view/image': Image,
-    'view/image/compressed': CompressedImage,
-    'view/camera_info': CameraInfo,
+    'orientation_covariance': PoseWithCovarianceStamped,
+    '/image': Image,
+    '/compressed': CompressedImage,
+    '/camera_info': CameraInfo,
     '/diagnostics': DiagnosticArray,
 }
 # Generous: only what fails waits so long.
@@ -65,18 +71,23 @@ class Peer:
     ``received`` holds all messages of the topics subscribed to, by topic.
     """
 
-    def __init__(self, process, log, domain, topics, compressed):
+    def __init__(self, process, log, domain, topics, compressed, namespace, views):
         self.process = process
         self._log = log
         self.received = defaultdict(list)
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self._node = rclpy.create_node('peer', context=self._context)
+        self._node = rclpy.create_node('peer', context=self._context, namespace=namespace)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._parameters = AsyncParameterClient(self._node, 'stabilizer')
         self._reset = self._node.create_client(Trigger, 'stabilizer/reset')
-        self._direction = self._node.create_publisher(QuaternionStamped, 'view/direction', 10)
+        self._home = self._node.create_client(Trigger, 'stabilizer/look_at_home')
+        self._clock = self._node.create_publisher(Clock, '/clock', 10)
+        self._directions = {view: self._node.create_publisher(
+            QuaternionStamped, f'{view}/direction', 10) for view in views}
+        self._velocities = {view: self._node.create_publisher(
+            Twist, f'{view}/cmd_vel', 10) for view in views}
         self._images = self._node.create_publisher(
             CompressedImage if compressed else Image,
             'image/compressed' if compressed else 'image', 10)
@@ -85,7 +96,9 @@ class Peer:
         self.wait_until(self._images.get_subscription_count)
         self.wait_until(self._parameters.services_are_ready)
         self.wait_until(self._reset.service_is_ready)
-        self.wait_until(self._direction.get_subscription_count)
+        self.wait_until(self._home.service_is_ready)
+        for publisher in (*self._directions.values(), *self._velocities.values()):
+            self.wait_until(publisher.get_subscription_count)
         # There is no way to ask the node whether it knows of our subscriptions yet.
         self.spin_for(SETTLING_S)
 
@@ -97,17 +110,18 @@ class Peer:
 
     def _subscribe(self, topic):
         """Subscribe to a topic; ``received`` fills from now on."""
-        self._node.create_subscription(TYPES[topic], topic, self.received[topic].append, 10)
+        msg_type, = (TYPES[end] for end in TYPES if topic.endswith(end))
+        self.subscribe(msg_type, topic, self.received[topic].append)
+
+    def subscribe(self, msg_type, topic, callback):
+        """Subscribe to a topic of any type, once it is published."""
+        self._node.create_subscription(msg_type, topic, callback, 10)
         self.wait_until(lambda: self._node.count_publishers(topic))
 
     def spin_for(self, seconds):
         """Serve the middleware for so long."""
         end_s = time.monotonic() + seconds
         self.wait_until(lambda: time.monotonic() > end_s)
-
-    def unsubscribe(self, subscription):
-        """End a subscription."""
-        self._node.destroy_subscription(subscription)
 
     def wait_until(self, condition, timeout_s=TIMEOUT_S):
         """Serve the middleware until a condition holds; return its value."""
@@ -143,13 +157,38 @@ class Peer:
             len(self.received[topic]) > n for topic, n in zip(watched, counts)))
         return rotation(self.received['orientation'][-1])
 
-    def look(self, quaternion_xyzw, frame_id=''):
+    def qos(self, topic):
+        """Return the QoS of what the node publishes or subscribes to under a whole name."""
+        ends = (self._node.get_publishers_info_by_topic(topic)
+                + self._node.get_subscriptions_info_by_topic(topic))
+        profile, = (end.qos_profile for end in ends if end.node_name == 'stabilizer')
+        return profile
+
+    def subscribers(self, topic):
+        """Return the names of the nodes that subscribe to a topic of a whole name."""
+        return [end.node_name for end in self._node.get_subscriptions_info_by_topic(topic)]
+
+    def look(self, quaternion_xyzw, frame_id='', view='view'):
         """Publish a view direction."""
         msg = QuaternionStamped()
         msg.header.frame_id = frame_id
         (msg.quaternion.x, msg.quaternion.y, msg.quaternion.z,
          msg.quaternion.w) = map(float, quaternion_xyzw)
-        self._direction.publish(msg)
+        self._directions[view].publish(msg)
+
+    def turn(self, view='view', linear=(0, 0, 0), angular=(0, 0, 0)):
+        """Publish a Twist of linear and angular x, y, z."""
+        linear, angular = (
+            Vector3(**dict(zip('xyz', map(float, xyz)))) for xyz in (linear, angular))
+        self._velocities[view].publish(Twist(linear=linear, angular=angular))
+
+    def tell_time(self, time_ns):
+        """Publish a simulated time."""
+        self._clock.publish(Clock(clock=Time(nanoseconds=int(time_ns)).to_msg()))
+
+    def look_at_home(self):
+        """Call ~/look_at_home."""
+        return self._call(self._home.call_async(Trigger.Request()))
 
     def reset(self):
         """Call ~/reset."""
@@ -192,10 +231,13 @@ class Peer:
 
 
 @contextmanager
-def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False):
+def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, namespace='',
+               views=('view',), domain=None):
     """Run the node with ROS arguments; give a Peer, and leave neither behind."""
-    domain = next(DOMAINS)
-    log = tmp_path / 'node.log'
+    domain = domain or next(DOMAINS)
+    log = tmp_path / f'node{namespace}.log'
+    if namespace:
+        arguments += ('-r', f'__ns:=/{namespace}')
     with open(log, 'w') as log_file:
         process = subprocess.Popen(
             [sys.executable, '-m', 'sph_stab_ros.stabilizer', '--ros-args',
@@ -203,7 +245,7 @@ def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False):
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, stdout=log_file, stderr=log_file)
     peer = None
     try:
-        peer = Peer(process, log, domain, topics, compressed)
+        peer = Peer(process, log, domain, topics, compressed, namespace, views)
         yield peer
     finally:
         if process.poll() is None:
@@ -226,3 +268,27 @@ def rotation(msg):
 def stamp_ns(msg):
     """Return a message's header stamp in nanoseconds."""
     return msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec
+
+
+def pixels(msg):
+    """Return the picture (H, W, 3) of a perspective or spherical image message."""
+    if isinstance(msg, CompressedImage):
+        assert msg.format == 'bgr8; jpeg compressed bgr8'
+        return cv2.imdecode(np.frombuffer(msg.data, np.uint8), cv2.IMREAD_COLOR)
+    return np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.width, 3)
+
+
+def compass_sphere(width=512):
+    """Return a sphere whose colours are the bearings, with texture to hold on to."""
+    image = 128 + 100 * bearing_grid(width)
+    texture = textured_sphere(width).astype(float).mean(axis=-1, keepdims=True) - 128
+    # Not where tests look.
+    quiet = np.abs(bearing_grid(width)).max(axis=-1, keepdims=True) > 0.98
+    return np.clip(image + np.where(quiet, 0, 0.2 * texture), 0, 255).astype(np.uint8)
+
+
+def shown_direction(msg):
+    """Return the bearing that the centre of a view of ``compass_sphere`` shows."""
+    image = pixels(msg).astype(float)
+    centre = image[image.shape[0] // 2, image.shape[1] // 2]
+    return (centre - 128) / 100

@@ -22,7 +22,6 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.equirect import bearing_grid
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.recording.images import image_from_message
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS, TRUTH_TOPIC
@@ -32,7 +31,8 @@ from synthetic import angle_deg
 from tiny_recordings import stamps_of, textured_sphere
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
-from node_harness import rotation, stabilizer, stamp_ns  # noqa: E402, I100
+from node_harness import (  # noqa: E402, I100
+    compass_sphere, pixels, rotation, shown_direction, stabilizer, stamp_ns)
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 
 PIONEER = Path(__file__).resolve().parents[1] / 'bags' / 'pioneer'
@@ -109,30 +109,6 @@ def test_pictures_show_what_the_orientation_says(tmp_path):
             assert {stamp_ns(peer.received[topic][-1]) for topic in PICTURES} == {frame.stamp_ns}
             assert sphere.header.frame_id == sphere_jpeg.header.frame_id == 'stabilized_optical'
             assert {msg.header.frame_id for msg in (view, view_jpeg, info)} == {'view_optical'}
-
-
-def pixels(msg):
-    """Return the picture (H, W, 3) of a perspective or spherical image message."""
-    if isinstance(msg, CompressedImage):
-        assert msg.format.startswith('bgr8; jpeg compressed')
-        return cv2.imdecode(np.frombuffer(msg.data, np.uint8), cv2.IMREAD_COLOR)
-    return np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.width, 3)
-
-
-def shown_direction(msg):
-    """Return the bearing that the centre of a view of ``compass_sphere`` shows."""
-    image = pixels(msg).astype(float)
-    centre = image[image.shape[0] // 2, image.shape[1] // 2]
-    return (centre - 128) / 100
-
-
-def compass_sphere(width=512):
-    """Return a sphere whose colours are the bearings, with texture to hold on to."""
-    image = 128 + 100 * bearing_grid(width)
-    texture = textured_sphere(width).astype(float).mean(axis=-1, keepdims=True) - 128
-    # Not where the test looks.
-    quiet = np.abs(bearing_grid(width)).max(axis=-1, keepdims=True) > 0.98
-    return np.clip(image + np.where(quiet, 0, 0.2 * texture), 0, 255).astype(np.uint8)
 
 
 def test_view_follows_whoever_spoke_last(tmp_path):

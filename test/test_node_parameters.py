@@ -41,7 +41,8 @@ def test_every_option_is_a_parameter_with_its_default_and_limits(tmp_path):
         values = peer.get_parameters(*NODE_PARAMETERS)
         descriptors = peer.describe_parameters(*NODE_PARAMETERS)
     for option, value, descriptor in zip(NODE_PARAMETERS.values(), values, descriptors):
-        assert value == option.default
+        assert value == (
+            list(option.default) if isinstance(option.default, tuple) else option.default)
         assert descriptor.description == option.description
         assert descriptor.read_only is not option.live
         assert all(choice in descriptor.additional_constraints for choice in option.choices or ())
@@ -84,6 +85,10 @@ def test_refusals_name_the_reason_and_change_nothing(tmp_path):
         'view.width': ('wide', 'Wrong parameter type'),
         'mask': ('/there/is/no.png', "'/there/is/no.png' cannot be read"),
         'image_transport': ('compressed', 'read-only'),
+        'views': (['front'], 'read-only'),
+        'publish_tf': ('yes', 'Wrong parameter type'),
+        'front_marker': ('everywhere', 'front_marker is one of none, views, all'),
+        'cmd_vel_timeout_s': (0., 'out of range'),
     }
     with stabilizer(tmp_path) as peer:
         before = peer.get_parameters(*NODE_PARAMETERS)
@@ -98,6 +103,12 @@ def test_refusals_name_the_reason_and_change_nothing(tmp_path):
     (['-p', 'view.hfov_deg:=500.0'], 'out of range'),
     (['-p', 'mask:=lat:5'], "mask 'lat:5' is not of the form"),
     (['-p', 'view.width:=wide'], "'view.width'"),
+    (['-p', 'views:=[]'], 'views is a list of names'),
+    (['-p', 'views:=front'], "'views'"),
+    (['-p', 'views:=[front, front]'], 'different names'),
+    (['-p', 'views:=[front-left]'], "'front-left' cannot be a view: letters, digits"),
+    (['-p', 'views:=[stabilized]'], "'stabilized' cannot be a view: something else"),
+    (['-p', 'view.frame_id:=stabilized_optical'], 'must be different names'),
     (['-p', 'nonsense'], 'nonsense'),
 ))
 def test_it_does_not_start_with_wrong_values(arguments, reason):

@@ -15,23 +15,26 @@
 """What the node is made of, each by itself."""
 
 import threading
+from time import process_time
 from unittest import mock
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.config import ViewConfig
+from sph_stab_ros.equirect import bearing_grid
 from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
 from sph_stab_ros.stabilization import StabilizedFrame
-from sph_stab_ros.warp import perspective_warp
+from sph_stab_ros.steering import Rates
+from sph_stab_ros.warp import perspective_view
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
-from builtin_interfaces.msg import Time  # noqa: E402, I100
-from geometry_msgs.msg import Quaternion, QuaternionStamped  # noqa: E402
+from geometry_msgs.msg import (  # noqa: E402, I100
+    Quaternion, QuaternionStamped, Twist, Vector3)
 from node_harness import DOMAINS  # noqa: E402
 from sph_stab_ros.ros import diagnostics  # noqa: E402
+from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
 from sph_stab_ros.ros.messages import (  # noqa: E402
-    orientation_message, rotation_from_message, view_camera_info)
+    orientation_message, pose_message, rates_from_twist, rotation_from_message, view_camera_info)
 from sph_stab_ros.stabilizer import StabilizerNode  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
@@ -84,25 +87,62 @@ def test_rotations_survive_the_message():
 
 
 def test_camera_info_projects_what_the_view_shows():
-    view = ViewConfig(hfov_deg=70., width=300, height=200)
-    info = view_camera_info(Header(frame_id='view'), view)
-    pixels = np.random.default_rng(0).uniform((0, 0), (299, 199), size=(20, 2))
-    bearings = perspective_warp(np.deg2rad(70), 300, 200).target_bearings(pixels)
+    info = view_camera_info(Header(frame_id='view'), np.deg2rad(70), (300, 200))
+    # A view of the sphere of all bearings shows those of its own pixels.
+    bearings = perspective_view(
+        bearing_grid(2048), Rotation.identity(), np.deg2rad(70), (300, 200)).reshape(-1, 3)
     projected = bearings @ info.k.reshape(3, 3).T
-    assert np.allclose(projected[:, :2] / projected[:, 2:], pixels, atol=1e-3)
+    pixels = np.stack(np.meshgrid(np.arange(300), np.arange(200)), axis=-1).reshape(-1, 2)
+    assert np.allclose(projected[:, :2] / projected[:, 2:], pixels, atol=0.05)
     assert np.array_equal(info.p.reshape(3, 4)[:, :3], info.k.reshape(3, 3))
     assert (info.width, info.height, info.header.frame_id) == (300, 200, 'view')
 
 
-def test_pictures_are_made_for_subscribers_only():
-    stabilized = mock.Mock(spec=StabilizedFrame, R_world_camera=Rotation.identity())
+def test_covariances_are_about_the_axes_of_the_world():
+    covariance = np.diag((1., 2., 3.)) + 0.1
+    msg = pose_message(Header(), Rotation.identity(), covariance)
+    whole = np.reshape(msg.pose.covariance, (6, 6))
+    assert np.array_equal(whole[3:, 3:], covariance)
+    assert (np.diag(whole)[:3] >= 1e6).all() and not whole[:3, 3:].any()
+
+
+def test_twists_turn_left_down_up_and_closer():
+    def rates(linear=(0., 0., 0.), angular=(0., 0., 0.)):
+        return rates_from_twist(Twist(linear=Vector3(**dict(zip('xyz', linear))),
+                                      angular=Vector3(**dict(zip('xyz', angular)))))
+
+    assert rates(angular=(5., 0., 1.)) == Rates(yaw_rad_s=1.)
+    # REP 103: about the axis to the left the nose goes down.
+    assert rates(angular=(0., 1., 0.)) == Rates(pitch_rad_s=-1.)
+    assert rates(linear=(0., 5., 1.)) == Rates(pitch_rad_s=1.)
+    assert rates(linear=(1., 0., 0.)) == Rates(zoom_per_s=1.)
+    for value in (np.nan, np.inf):
+        with pytest.raises(ValueError, match='angular.z'):
+            rates(angular=(0., 0., value))
+
+
+def test_stages_share_the_cpu():
+    meter = CpuMeter()
+    with meter.stage('work'):
+        while process_time() < meter._start_cpu_s + 0.05:
+            pass
+    percentages = meter.percentages()
+    assert 0 < percentages['work'] <= percentages['total']
+    assert meter.percentages()['work'] == 0
+
+
+def test_pictures_and_messages_are_made_for_subscribers_only():
+    stabilized = mock.Mock(spec=StabilizedFrame, covariance=np.eye(3), **dict.fromkeys(
+        ('R_world_camera', 'R_world_virtual', 'R_camera_virtual'), Rotation.identity()))
     rclpy.init(args=[], domain_id=next(DOMAINS),
                signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:
         node = StabilizerNode()
-        node._publish(stabilized, Time())
+        with mock.patch('rclpy.publisher.Publisher.publish') as publish:
+            node._outputs.publish(stabilized, Header())
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
+    publish.assert_not_called()
     stabilized.sphere.assert_not_called()
     stabilized.view.assert_not_called()

@@ -19,7 +19,10 @@ from threading import Lock
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+import numpy as np
 
+from sph_stab_ros.masks import share_of_sphere
+from sph_stab_ros.ros.cpu_meter import CpuMeter
 from sph_stab_ros.trackers import TrackingStatus
 
 LOG_PERIOD_S = 5.0
@@ -28,6 +31,8 @@ LOG_PERIOD_S = 5.0
 class Diagnostics:
     """
     Counts frames, refused images and notices; its methods may be called from any thread.
+
+    ``cpu`` is the CpuMeter of the stages that a frame goes through.
 
     Parameters
     ----------
@@ -39,6 +44,7 @@ class Diagnostics:
     """
 
     def __init__(self, name, warn):
+        self.cpu = CpuMeter()
         self._name = name
         self._log = ThrottledLog(warn)
         self._lock = Lock()
@@ -47,21 +53,29 @@ class Diagnostics:
         self._notices = Counter()
         self._tracking = Counter()
         self._status = None
+        self._uncertainty_rad = self._keyframes = self._still_pixels = None
         self._start_period()
 
-    def count_frame(self, stabilized, latency_s):
-        """Count a StabilizedFrame published ``latency_s`` after its receipt."""
+    def count_frame(self, stabilized, latency_s, tracker=None):
+        """Count a StabilizedFrame of a Tracker's, published ``latency_s`` after its receipt."""
         with self._lock:
             self._frames += 1
             self._status = stabilized.status
             self._tracking[stabilized.status] += 1
             self._latencies_s.append(latency_s)
-            for notice in stabilized.notices:
-                self._notices[notice.name.lower()] += 1
+            self._uncertainty_rad = stabilized.uncertainty_rad
+            self._keyframes = getattr(tracker, 'keyframes_kept', None)
+            self._still_pixels = getattr(tracker, 'still_pixels', None)
         for notice in stabilized.notices:
-            self._log.warn(notice, notice.value)
+            self.notice(notice.name.lower(), notice.value)
         if stabilized.status is not TrackingStatus.OK:
             self._log.warn(stabilized.status, f'no rotation found: {stabilized.status.value}')
+
+    def notice(self, name, text):
+        """Count and log something that users should hear of."""
+        with self._lock:
+            self._notices[name] += 1
+        self._log.warn(name, text)
 
     def refuse(self, reason, detail):
         """Count an image that cannot be used; ``reason`` is one of few, ``detail`` is logged."""
@@ -82,15 +96,29 @@ class Diagnostics:
                 'latency_ms': f'{1e3 * sum(latencies_s) / max(len(latencies_s), 1):.1f}',
                 'frames': self._frames,
                 **{f'frames: {status.value}': self._tracking[status] for status in TrackingStatus},
+                **self._state(),
                 'dropped': dropped,
                 'refused': sum(self._refused.values()),
                 **{f'refused: {reason}': n for reason, n in sorted(self._refused.items())},
                 **{f'notice: {name}': n for name, n in sorted(self._notices.items())},
             }
+            values.update({f'cpu_percent: {stage}': f'{percent:.1f}'
+                           for stage, percent in self.cpu.percentages().items()})
             self._start_period()
         return DiagnosticStatus(
             level=level, name=f'{self._name}: stabilization', message=message,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
+
+    def _state(self):
+        """Return what the tracker knew about itself at the last frame."""
+        values = {}
+        if self._uncertainty_rad is not None:
+            values['uncertainty_deg'] = f'{np.rad2deg(self._uncertainty_rad):.3f}'
+        if self._keyframes is not None:
+            values['keyframes'] = self._keyframes
+        if self._still_pixels is not None:
+            values['still_percent'] = f'{100 * share_of_sphere(self._still_pixels):.1f}'
+        return values
 
     def _start_period(self):
         self._period_start_s = monotonic()

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Image topics as image_transport has them: ``image`` raw and ``image/compressed``.
+Topics, and image topics as image_transport has them: ``image`` raw and ``image/compressed``.
 
 Remapping ``image`` takes ``image/compressed`` along, unless that is remapped itself. All quality
 of service can be overridden by parameters (``qos_overrides.<topic>.publisher.depth``, …).
@@ -31,10 +31,16 @@ COMPRESSED = '/compressed'
 def subscribe_to_images(node, topic, transport, callback):
     """Subscribe to ``topic`` as 'raw' or 'compressed' images, as sensor data."""
     compressed = transport == 'compressed'
-    return node.create_subscription(
-        CompressedImage if compressed else Image,
+    return subscribe(
+        node, CompressedImage if compressed else Image,
         compressed_topic(node, topic) if compressed else topic, callback,
-        QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT),
+        QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
+
+
+def subscribe(node, msg_type, topic, callback, qos=10):
+    """Return a subscription; ``qos`` is a QoSProfile or the depth of a reliable one."""
+    return node.create_subscription(
+        msg_type, topic, callback, qos,
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 

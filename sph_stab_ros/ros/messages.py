@@ -14,16 +14,18 @@
 
 """The core's values to ROS messages and back; images are in ``recording.images``."""
 
-from geometry_msgs.msg import Quaternion, QuaternionStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, QuaternionStamped
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 
+from sph_stab_ros.steering import Rates
 from sph_stab_ros.trajectory import NS_PER_S
 from sph_stab_ros.warp import focal_length_px
 
 # The same as tf2's.
 QUATERNION_TOLERANCE = 0.01
+UNKNOWN_M2 = 1e9
 
 
 def stamp_ns(stamp):
@@ -46,13 +48,44 @@ def rotation_from_message(msg):
     return Rotation.from_quat(quaternion)
 
 
-def view_camera_info(header, view):
-    """Return the CameraInfo of the pinhole image that a ViewConfig describes."""
-    f = float(focal_length_px(np.deg2rad(view.hfov_deg), view.width))
+def pose_message(header, R_world_camera, covariance):
+    """
+    Return the PoseWithCovarianceStamped of an orientation with its covariance (3, 3) in rad².
+
+    As REP 103 has it, the covariance is about the fixed axes of the header's frame, the world.
+    The position is unknown, which the message can say by a variance beyond all use only.
+    """
+    msg = PoseWithCovarianceStamped(header=header)
+    x, y, z, w = R_world_camera.as_quat().tolist()
+    msg.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    whole = np.diag([UNKNOWN_M2] * 3 + [0.] * 3)
+    whole[3:, 3:] = covariance
+    msg.pose.covariance = whole.ravel().tolist()
+    return msg
+
+
+def rates_from_twist(msg):
+    """
+    Return the Rates of a Twist; ValueError where one that counts is not finite.
+
+    Yaw and pitch are those of REP 103's body: ``angular.z`` turns left, ``angular.y`` *down*.
+    ``linear.z`` turns up, in rad/s too, and ``linear.x`` zooms in.
+    """
+    counting = msg.angular.z, msg.angular.y, msg.linear.z, msg.linear.x
+    if not np.isfinite(counting).all():
+        raise ValueError('angular.z, angular.y, linear.z, linear.x are ({:g}, {:g}, {:g}, {:g})'
+                         .format(*counting))
+    return Rates(msg.angular.z, msg.linear.z - msg.angular.y, msg.linear.x)
+
+
+def view_camera_info(header, hfov_rad, size_wh):
+    """Return the CameraInfo of a pinhole image with a horizontal field of view and size."""
+    width, height = size_wh
+    f = float(focal_length_px(hfov_rad, width))
     # Pixel centres are integers.
-    cx, cy = (view.width - 1) / 2, (view.height - 1) / 2
+    cx, cy = (width - 1) / 2, (height - 1) / 2
     return CameraInfo(
-        header=header, width=view.width, height=view.height,
+        header=header, width=width, height=height,
         distortion_model='plumb_bob', d=[0.] * 5,
         k=[f, 0., cx, 0., f, cy, 0., 0., 1.],
         r=[1., 0., 0., 0., 1., 0., 0., 0., 1.],

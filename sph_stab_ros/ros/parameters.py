@@ -12,24 +12,64 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The node's parameters, made from the options of NodeConfig and turned into one again."""
+"""The node's parameters, made from the options in config.py and turned into configs again."""
+
+from dataclasses import dataclass
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
-from sph_stab_ros.config import NODE_PARAMETERS, NodeConfig, with_option
+from sph_stab_ros.config import (
+    ConfigError, NODE_PARAMETERS, NodeConfig, VIEW, view_parameters, ViewConfig, with_option)
 from sph_stab_ros.masks import load_mask
 from sph_stab_ros.trackers import working_width
 
 
+@dataclass(frozen=True)
+class Settings:
+    """What the parameters say: the NodeConfig, and the ViewConfig of each view by its name."""
+
+    config: NodeConfig
+    views: dict[str, ViewConfig]
+
+    def changed(self, parameters):
+        """
+        Return the Settings with the values of rclpy Parameters; those of others are left out.
+
+        Raises ConfigError or MaskError for a value that is not allowed.
+        """
+        config, views = self.config, dict(self.views)
+        for parameter in parameters:
+            view, _, option = parameter.name.partition('.')
+            if view in views:
+                views[view] = with_option(views[view], option, parameter.value)
+            elif parameter.name in NODE_PARAMETERS:
+                config = with_option(
+                    config, NODE_PARAMETERS[parameter.name].name, parameter.value)
+        if config.tracker != self.config.tracker:
+            load_mask(config.tracker.mask, working_width(config.tracker))
+        return Settings(config, views)
+
+
 def declare_parameters(node):
     """
-    Declare all parameters with description, range and default; return the NodeConfig they give.
+    Declare all parameters with description, range and default; return the Settings they give.
 
     Raises rclpy's ParameterException, ConfigError or MaskError for a value that is not allowed.
     """
-    for name, option in NODE_PARAMETERS.items():
-        node.declare_parameter(name, option.default, descriptor(option))
-    return changed_config(NodeConfig(), node.get_parameters(list(NODE_PARAMETERS)))
+    own = {name: option for name, option in NODE_PARAMETERS.items()
+           if not name.startswith(f'{VIEW}.')}
+    settings = Settings(NodeConfig(), {}).changed(_declare(node, own))
+    of_views = {}
+    for view in settings.config.views:
+        of_views.update(view_parameters(view))
+    views = {view: ViewConfig() for view in settings.config.views}
+    settings = Settings(settings.config, views).changed(_declare(node, of_views))
+    frames = [view.frame_id for view in settings.views.values()]
+    frames += settings.config.stabilized_frame, settings.config.virtual_frame
+    if '' in frames or len(set(frames)) < len(frames):
+        raise ConfigError('stabilized_frame, virtual_frame and the frame_id of each view must be '
+                          'different names')
+    return settings
 
 
 def undeclared_overrides(node):
@@ -46,19 +86,10 @@ def descriptor(option):
         **_range(option))
 
 
-def changed_config(config, parameters):
-    """
-    Return the NodeConfig with the values of rclpy Parameters; those of others are left out.
-
-    Raises ConfigError or MaskError for a value that is not allowed.
-    """
-    changed = config
-    for parameter in parameters:
-        if parameter.name in NODE_PARAMETERS:
-            changed = with_option(changed, NODE_PARAMETERS[parameter.name].name, parameter.value)
-    if changed.tracker != config.tracker:
-        load_mask(changed.tracker.mask, working_width(changed.tracker))
-    return changed
+def _declare(node, options):
+    """Declare parameters by their names and Options; return them."""
+    return [node.declare_parameter(name, option.default, descriptor(option))
+            for name, option in options.items()]
 
 
 def _range(option):
