@@ -14,6 +14,8 @@
 
 """Start the stabilizer node; ``ros2 launch sph_stab_ros stabilizer.launch.py -s`` explains how."""
 
+from pathlib import Path
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
@@ -35,6 +37,10 @@ ARGUMENTS = (
         'image_transport', default_value='', choices=['', 'raw', 'compressed'],
         description='How the images come; empty: as params_file says'),
     DeclareLaunchArgument(
+        'projection', default_value='',
+        description="How a picture shows the sphere, the node's parameter projection; empty: as "
+                    'params_file says'),
+    DeclareLaunchArgument(
         'use_sim_time', default_value='', choices=['', 'true', 'false'],
         description='Take the time from /clock; empty: as params_file says'),
 )
@@ -45,9 +51,11 @@ def stabilizer(context):
     def argument(name):
         return LaunchConfiguration(name).perform(context)
 
-    given = {}
-    if argument('image_transport'):
-        given['image_transport'] = argument('image_transport')
+    # launch would only warn and take the defaults.
+    if not Path(argument('params_file')).is_file():
+        raise RuntimeError(f"params_file: there is no file {argument('params_file')}")
+    given = {name: argument(name) for name in ('image_transport', 'projection')
+             if argument(name)}
     if argument('use_sim_time'):
         given['use_sim_time'] = argument('use_sim_time') == 'true'
     return [Node(
