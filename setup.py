@@ -31,10 +31,11 @@ setup(
     maintainer_email='sph_stab_ros@users.noreply.github.com',
     license='Apache-2.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
+    package_data={package_name + '.operator': ['page/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
-        ('share/' + package_name + '/config', glob('config/*.yaml')),
+        ('share/' + package_name + '/config', glob('config/*.*')),
         ('share/' + package_name + '/launch', glob('launch/*.launch.py')),
     ],
     zip_safe=True,
@@ -46,11 +47,13 @@ setup(
         'numpy>=1.26.4,<3',
         'opencv-python-headless>=4.6.0.66,<5',
         'rosbags>=0.11.9,<0.12',
+        'ruamel.yaml>=0.17.21,<1',
         'scipy>=1.11.4,<2',
         'threadpoolctl>=3.1.0,<4',
         'tqdm>=4.66.2,<5',
     ],
     extras_require={
+        'operator': ['aiohttp>=3.9.1,<4'],
         'plots': ['matplotlib>=3.8.0,<4'],
         'video': ['av>=15.0.0,<19'],
         'ros': [
@@ -59,6 +62,8 @@ setup(
         ],
         'test': [
             'pytest>=7.4.4,<9',
+            # Drives the browser that is there; none of its own.
+            'playwright>=1.60,<2',
             # Jazzy's linters with the flake8 and plugins of its platform, for the same rules.
             'ros-ament-flake8==0.17.*',
             'ros-ament-pep257==0.17.*',
@@ -85,8 +90,10 @@ setup(
     entry_points={
         'console_scripts': [
             'benchmark = sph_stab_ros.benchmark:main',
+            'calibrate = sph_stab_ros.calibrate:main',
             'demo = sph_stab_ros.demo:main',
             'evaluate = sph_stab_ros.evaluate:main',
+            'operator = sph_stab_ros.operator.__main__:main',
             'player = sph_stab_ros.player:main',
             'replay = sph_stab_ros.replay:main',
             'stabilizer = sph_stab_ros.stabilizer:main',

@@ -13,31 +13,33 @@
 # limitations under the License.
 
 """
-See it work: play a recording through the real node, leave its result in a video and a plot.
+See it work: play a recording through the real node, look around in it with a browser.
 
-Player and node run as processes of their own, as on a robot; this one listens to what they
-publish. DEMO_SECONDS in the environment ends the playing early.
+Player, node and the operator's page run as processes of their own, as on a robot; this one listens
+to what they publish and leaves it in a video and a plot. In a terminal the recording is then
+played over and over until Ctrl-C; elsewhere it is played once, or for DEMO_SECONDS.
 """
 
-from contextlib import contextmanager, ExitStack
+from contextlib import ExitStack, suppress
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import signal
-import subprocess
 import sys
 from time import monotonic
 
 from geometry_msgs.msg import QuaternionStamped
 import numpy as np
 import rclpy
-from rclpy.executors import ExternalShutdownException
 from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CompressedImage
 from sph_stab_ros import plots
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.evaluation import align, compare, EvaluationError
 from sph_stab_ros.frame import Frame
+from sph_stab_ros.processes import running
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.images import image_from_message
 from sph_stab_ros.recording.output import partial_output
@@ -66,8 +68,16 @@ class Listener:
         self.images, self.orientations = {}, {}
         self.heard_s = monotonic()
         self._node = rclpy.create_node('demo', namespace=NAMESPACE)
-        self._node.create_subscription(CompressedImage, 'image/compressed', self._on_image, QOS)
-        self._node.create_subscription(QuaternionStamped, 'orientation', self._on_orientation, QOS)
+        self._subscriptions = [
+            self._node.create_subscription(
+                CompressedImage, 'image/compressed', self._on_image, QOS),
+            self._node.create_subscription(
+                QuaternionStamped, 'orientation', self._on_orientation, QOS)]
+
+    def close(self):
+        """Take in nothing more."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
 
     def _on_image(self, msg):
         self.images[stamp_ns(msg.header.stamp)] = msg
@@ -99,48 +109,70 @@ class Listener:
             [self.orientations[time_ns] for time_ns in stamps_ns]))
 
 
-@contextmanager
-def process(module, *args):
-    """Run an executable of the package in the demo's namespace until the block ends."""
-    # Not its entry point: this also works where the package is not installed.
-    started = subprocess.Popen((
-        sys.executable, '-m', f'sph_stab_ros.{module}', *args, '-r', f'__ns:=/{NAMESPACE}'))
+def run_in_demo(module, *args):
+    """Run an executable of the package in the demo's namespace; a context of its Popen."""
+    ros = () if '--ros-args' in args else ('--ros-args',)
+    return running(module, *args, *ros, '-r', f'__ns:=/{NAMESPACE}')
+
+
+def listen(listener, node, player, seconds, frame_count):
+    """
+    Listen until the recording was played once, or for so long, or until Ctrl-C.
+
+    Tells whether it was Ctrl-C, which in a terminal reaches the other processes too.
+    """
+    end_s = monotonic() + seconds
     try:
-        yield started
-    finally:
-        started.send_signal(signal.SIGINT)
-        started.wait()
+        listener.listen_while(lambda: node.poll() is player.poll() is None
+                              and monotonic() < end_s and len(listener.images) < frame_count)
+    except KeyboardInterrupt:
+        return True
+    return False
 
 
-def play(path, seconds):
-    """Play a recording through the node for so long; return the Listener."""
+def demonstrate(path, folder, seconds, forever):
+    """
+    Play a recording and write ``demo.mp4`` and ``orientation.png`` into a folder.
+
+    With ``forever`` it is played on, for the page, until Ctrl-C.
+    """
+    recording = open_recording(path)
+    # A damaged bag does not tell.
+    frame_count = recording.frame_count or float('inf')
+    truth = read_truth(recording, find_truth_topic(recording))
     listener = Listener()
     with ExitStack() as stack:
-        node = stack.enter_context(process(
+        if find_spec('aiohttp'):
+            stack.enter_context(run_in_demo('operator'))
+        else:
+            print("demo: without aiohttp there is no operator's page", file=sys.stderr)
+        node = stack.enter_context(run_in_demo(
             'stabilizer', '--ros-args', '-p', 'image_transport:=compressed'))
         end_s = monotonic() + STARTUP_S
         listener.listen_while(
             lambda: node.poll() is None and monotonic() < end_s and not listener.node_is_ready())
-        player = stack.enter_context(process(
-            'player', str(path), '--wait', '--compressed', '--ros-args'))
-        end_s = monotonic() + seconds
-        listener.listen_while(
-            lambda: node.poll() is player.poll() is None and monotonic() < end_s)
-        player.send_signal(signal.SIGINT)
-        listener.listen_while(
-            lambda: node.poll() is None and monotonic() < listener.heard_s + SILENCE_S)
-    if node.returncode or player.returncode:
-        raise RecordingError(f'{path} could not be played, see above')
-    if not listener.orientations:
-        raise RecordingError('the node has not published any orientation')
-    return listener
+        player = stack.enter_context(run_in_demo(
+            'player', str(path), '--wait', '--compressed', *(['--loop'] if forever else [])))
+        ending = listen(listener, node, player, seconds, frame_count)
+        if not forever:
+            player.send_signal(signal.SIGINT)
+        listener.listen_while(lambda: not ending and node.poll() is None
+                              and len(listener.orientations) < frame_count
+                              and monotonic() < listener.heard_s + SILENCE_S)
+        listener.close()
+        if node.poll() or player.poll():
+            raise RecordingError(f'{path} could not be played, see above')
+        if not listener.orientations:
+            raise RecordingError('the node has not published any orientation')
+        write_results(recording, truth, listener, folder)
+        if forever and not ending:
+            print('demo: playing on until Ctrl-C', flush=True)
+            with suppress(KeyboardInterrupt):
+                player.wait()
 
 
-def demonstrate(path, folder, seconds):
-    """Play a recording and write ``demo.mp4`` and ``orientation.png`` into a folder."""
-    recording = open_recording(path)
-    truth = read_truth(recording, find_truth_topic(recording))
-    listener = play(path, seconds)
+def write_results(recording, truth, listener, folder):
+    """Write what was heard, and say how exact it is."""
     folder.mkdir(parents=True, exist_ok=True)
     with partial_output(folder / 'demo.mp4', force=True) as partial, VideoWriter(partial) as video:
         for stabilized in tqdm(listener.frames(), 'video', len(listener.orientations),
@@ -154,7 +186,7 @@ def demonstrate(path, folder, seconds):
     print(f'{folder}/demo.mp4 and {folder}/orientation.png: {len(errors.time_s)} of '
           f'{len(listener.images)} frames stabilised live, orientation off by '
           f'{errors.geodesic_deg.mean():.2f} deg on average, '
-          f'{errors.geodesic_deg.max():.2f} deg at most')
+          f'{errors.geodesic_deg.max():.2f} deg at most', flush=True)
 
 
 def main(argv=None):
@@ -168,12 +200,13 @@ def main(argv=None):
     except ValueError:
         parser.error('DEMO_SECONDS is not a number')
 
+    forever = sys.stdin.isatty() and 'DEMO_SECONDS' not in os.environ
+
     def command():
-        rclpy.init(args=[])
+        # Ctrl-C comes as KeyboardInterrupt.
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:
-            demonstrate(args.recording, args.folder, seconds)
-        except ExternalShutdownException:
-            raise KeyboardInterrupt from None
+            demonstrate(args.recording, args.folder, seconds, forever)
         except EvaluationError as error:
             raise RecordingError(str(error)) from error
         finally:

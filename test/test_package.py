@@ -36,6 +36,7 @@ PACKAGE = 'sph_stab_ros'
 # Modules from outside of ROS: the name on the package index and rosdep's key. rosdep has no key
 # for PyAV, and what rosbags itself needs comes with rosbags.
 PYTHON_DEPENDENCIES = {
+    'aiohttp': ('aiohttp', 'python3-aiohttp'),
     'av': ('av', None),
     'backports': ('backports.zstd', None),
     'cv2': ('opencv-python-headless', 'python3-opencv'),
@@ -43,13 +44,16 @@ PYTHON_DEPENDENCIES = {
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'numpy': ('numpy', 'python3-numpy'),
     'rosbags': ('rosbags', 'python3-rosbags-pip'),
+    'ruamel': ('ruamel.yaml', None),
     'scipy': ('scipy', 'python3-scipy'),
     'threadpoolctl': ('threadpoolctl', None),
     'tqdm': ('tqdm', 'python3-tqdm'),
 }
 OPTIONAL_MODULES = {'av', 'matplotlib', 'threadpoolctl'}
 # The only modules, and with `ros` all modules below it, that may need ROS to be imported.
-ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in ('demo', 'player', 'ros', 'stabilizer'))
+ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in (
+    'benchmark_ros', 'demo', 'operator.__main__', 'operator.robot', 'player', 'ros', 'soak',
+    'stabilizer'))
 
 
 @pytest.fixture
@@ -99,7 +103,8 @@ def test_manifest_and_setup_agree(setup_arguments, manifest):
 
 def test_setup_requires_what_is_imported(setup_arguments):
     extras = setup_arguments['extras_require']
-    requirements = setup_arguments['install_requires'] + extras['plots'] + extras['video']
+    requirements = [*setup_arguments['install_requires'],
+                    *extras['operator'], *extras['plots'], *extras['video']]
     required = {re.match(r'[\w.-]+', requirement).group() for requirement in requirements}
     used = imported_modules() & PYTHON_DEPENDENCIES.keys()
     assert required == {PYTHON_DEPENDENCIES[module][0] for module in used}
@@ -172,6 +177,14 @@ def test_colcon_installs_everything(workspace, setup_arguments):
     command = f'{sys.executable} -c "import {PACKAGE}; print({PACKAGE}.__file__)"'
     output, _ = in_workspace(workspace, command).communicate(timeout=60)
     assert output.startswith(str(workspace))
+
+
+def test_colcon_installs_the_page(workspace):
+    pytest.importorskip('aiohttp', reason='aiohttp is not installed')
+    code = f'from {PACKAGE}.operator.server import page_files; print(*sorted(page_files()))'
+    output, _ = in_workspace(workspace, f'{sys.executable} -c "{code}"').communicate(timeout=60)
+    in_source = sorted(path.name for path in (ROOT / PACKAGE / 'operator' / 'page').iterdir())
+    assert output.split() == in_source
 
 
 def test_colcon_installs_a_replay_that_runs(workspace):

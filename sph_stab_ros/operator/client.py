@@ -1,0 +1,105 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""One browser: what waits to be sent to it, how fast it draws, how much it may say."""
+
+from asyncio import Event
+from collections import deque
+from time import monotonic
+
+from sph_stab_ros.operator.protocol import picture_message
+
+# One picture is decoded and drawn while the next one is on its way.
+MAX_UNDRAWN = 2
+# A page sends one look and one acknowledgement per picture of its display, at 120 Hz or less.
+MESSAGES_PER_S = 300.
+BURST = 600.
+# Rate and latency are those of so much time.
+WINDOW_S = 2.0
+
+
+class Client:
+    """
+    What one browser is to get next: the newest picture and the newest text of each kind.
+
+    Nothing queues up: a slow browser skips pictures, and has MAX_UNDRAWN of them on their way at
+    most, so that it delays neither others nor itself.
+    """
+
+    def __init__(self, name, clock=monotonic):
+        self.name = name
+        # Whether something that it asked for is still being done.
+        self.busy = False
+        self._clock = clock
+        self._wake = Event()
+        self._texts = {}
+        self._picture = None
+        # sequence -> (when the camera's picture was received, when it was sent).
+        self._undrawn = {}
+        self._drawn = deque()
+        self._credit, self._credit_s = BURST, clock()
+
+    def offer_picture(self, sequence, picture):
+        """Replace the picture that waits to be sent."""
+        self._picture = sequence, picture
+        self._wake.set()
+
+    def offer_text(self, kind, text):
+        """Replace the text of this kind that waits to be sent."""
+        self._texts[kind] = text
+        self._wake.set()
+
+    async def messages(self):
+        """Yield texts and binary messages, each when it is wanted and there is something new."""
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while self._texts:
+                yield self._texts.pop(next(iter(self._texts)))
+            if self._picture and len(self._undrawn) < MAX_UNDRAWN:
+                (sequence, picture), self._picture = self._picture, None
+                self._undrawn[sequence] = picture.received_s
+                yield picture_message(sequence, picture)
+                # A text may have come meanwhile.
+                self._wake.set()
+
+    def drawn(self, sequence):
+        """Note that a picture is drawn, and those before it are drawn or skipped."""
+        now_s = self._clock()
+        if sequence in self._undrawn:
+            self._drawn.append((now_s, now_s - self._undrawn[sequence]))
+        self._undrawn = {one: at_s for one, at_s in self._undrawn.items() if one > sequence}
+        self._wake.set()
+
+    def rate_and_latency(self):
+        """
+        Return pictures drawn per second, and seconds from camera to screen, or None.
+
+        Latency is the median time from the receipt of the camera's picture to the news that it is
+        drawn: it includes the way back.
+        """
+        now_s = self._clock()
+        while self._drawn and self._drawn[0][0] < now_s - WINDOW_S:
+            self._drawn.popleft()
+        if not self._drawn:
+            return 0., None
+        latencies_s = sorted(latency_s for _, latency_s in self._drawn)
+        return len(latencies_s) / WINDOW_S, latencies_s[len(latencies_s) // 2]
+
+    def may_speak(self):
+        """Tell whether one more message is within the rate that a page needs."""
+        now_s = self._clock()
+        self._credit = min(BURST, self._credit + MESSAGES_PER_S * (now_s - self._credit_s)) - 1
+        self._credit_s = now_s
+        return self._credit >= 0

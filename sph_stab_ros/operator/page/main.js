@@ -1,0 +1,307 @@
+// Copyright 2026 The sph_stab_ros developers
+// SPDX-License-Identifier: Apache-2.0
+
+// The page: pictures in, look direction out, everything else around it.
+
+import {Connection} from './connection.js';
+import {AttitudeDial, HeadingTape} from './instruments.js';
+import {inUse, Look} from './look.js';
+import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
+import {situation} from './situation.js';
+import {SphereRenderer} from './sphere_renderer.js';
+
+const $ = id => document.getElementById(id);
+const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70, SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
+const NOTICE_MS = 5000;
+const MAX_PIXEL_RATIO = 2;
+// Without a graphics card, fewer pixels sooner rather than all of them later.
+const SLOW_SHARE = 0.6;
+// What a stabilizer without modes does.
+const DEFAULT_MODES = ['lock'];
+const MODE_HELP = {
+  lock: 'The world stands still',
+  follow: 'The view follows slow turns of the robot',
+  yaw_follow: 'Level, and the heading follows slow turns of the robot',
+};
+
+const canvas = $('picture');
+const state = {
+  // Times are those of performance.now().
+  connectedAt: performance.now(), reason: '', failure: '', control: 'free', robot: null,
+  // The picture on display, when it came, and whether it had an orientation.
+  pictureAt: null, stabilized: true, derotated: false,
+  R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
+  raw: false,
+  // Whether the operator has chosen where to look.
+  moved: false,
+  // The angles on the instruments.
+  shown: '',
+};
+let renderer, waiting = null, drawRequested = false, noticeTimer, lookTimer, lookedAt = 0;
+
+// Drawing.
+
+function requestDraw() {
+  if (drawRequested) return;
+  drawRequested = true;
+  requestAnimationFrame(() => {
+    drawRequested = false;
+    draw();
+  });
+}
+
+function draw() {
+  const picture = waiting;
+  waiting = null;
+  if (picture) {
+    renderer.load(picture.bitmap);
+    // Without an orientation the last one has to do.
+    Object.assign(state, picture.orientation);
+    state.stabilized = picture.orientation !== null;
+    state.derotated = picture.derotated;
+    state.pictureAt = performance.now();
+  }
+  const R_virtual_view = fromYawPitch(look.yaw, look.pitch);
+  const R_world_view = multiply(state.raw ? state.R_world_camera : state.R_world_virtual,
+                                R_virtual_view);
+  const R_world_picture = state.derotated ? state.R_world_virtual : state.R_world_camera;
+  renderer.draw(matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
+  if (picture) {
+    canvas.dataset.stampNs = picture.stamp_ns;
+    connection.send('drawn', {sequence: picture.sequence});
+  }
+}
+
+// Less often than the picture: painting them takes longer than that does without a graphics card.
+function showInstruments() {
+  const heading = -degrees(anglesOf(multiply(
+    state.raw ? state.R_world_camera : state.R_world_virtual,
+    fromYawPitch(look.yaw, look.pitch))).yaw);
+  const {yaw, pitch, roll} = anglesOf(state.R_world_camera);
+  const shown = [heading, -degrees(yaw), degrees(roll), degrees(pitch)].map(a => a.toFixed(1));
+  if (shown.join() === state.shown) return;
+  state.shown = shown.join();
+  tape.show(Number(shown[0]), Number(shown[1]));
+  dial.show(Number(shown[2]), Number(shown[3]));
+}
+
+function takePicture(picture) {
+  const {bitmap, sequence} = picture;
+  if (bitmap?.width !== 2 * bitmap?.height) {
+    state.failure = bitmap ? `The camera's picture, ${bitmap.width}×${bitmap.height}, is no ` +
+      'sphere: start the operator with --pictures stabilizer.' : 'A broken picture has come.';
+    bitmap?.close();
+    connection.send('drawn', {sequence});
+    return;
+  }
+  state.failure = '';
+  waiting?.bitmap.close();
+  waiting = picture;
+  requestDraw();
+}
+
+function resize() {
+  const ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO) * (renderer?.slow ? SLOW_SHARE : 1);
+  canvas.width = Math.round(canvas.clientWidth * ratio);
+  canvas.height = Math.round(canvas.clientHeight * ratio);
+  requestDraw();
+}
+
+// Looking.
+
+function looked() {
+  state.moved = true;
+  requestDraw();
+  $('fov').textContent = `${Math.round(degrees(look.fov))}°`;
+  if (state.control === 'yours' && !lookTimer) {
+    lookTimer = setTimeout(sendLook, Math.max(0, lookedAt + LOOK_PERIOD_MS - performance.now()));
+  }
+}
+
+function sendLook() {
+  lookTimer = null;
+  lookedAt = performance.now();
+  connection.send('look', {direction: fromYawPitch(look.yaw, look.pitch)});
+}
+
+// What the server tells.
+
+function takeState({control, robot, rate_hz, latency_ms, browsers}) {
+  const taken = control === 'yours' && state.control !== 'yours';
+  Object.assign(state, {control, robot});
+  if (taken && state.moved) sendLook();
+  $('rate').textContent = `${Math.round(rate_hz)} /s`;
+  $('latency').textContent = latency_ms === null ? '–' : `${latency_ms} ms`;
+  $('estimator').textContent = robot.tracking
+    ? `${robot.tracking}, ${Math.round(robot.rate_hz)} /s` : '–';
+  const watching = control !== 'yours';
+  $('control').classList.toggle('hidden', !watching);
+  $('control').firstElementChild.textContent = control === 'taken'
+    ? 'Watching: another operator steers.' : 'Nobody steers.';
+  for (const [id, possible] of [['reset', robot.can_reset], ['level', robot.can_level]]) {
+    disable($(id), watching || !possible);
+  }
+  showModes(robot.modes, robot.mode, watching);
+  showSituation();
+}
+
+// Unlike a disabled button one can still come to it by keyboard and hear why it does nothing.
+function disable(button, disabled) {
+  button.setAttribute('aria-disabled', disabled);
+}
+
+function showModes(modes, mode, watching) {
+  const names = modes.length ? modes : DEFAULT_MODES;
+  const box = $('modes');
+  if (box.dataset.names !== names.join()) {
+    box.dataset.names = names.join();
+    box.replaceChildren(box.firstElementChild, ...names.map(name => {
+      const label = document.createElement('label');
+      const input = Object.assign(document.createElement('input'),
+                                  {type: 'radio', name: 'mode', value: name});
+      const text = document.createElement('span');
+      text.textContent = name[0].toUpperCase() + name.slice(1).replaceAll('_', ' ');
+      label.title = `${MODE_HELP[name] ?? text.textContent} (M: next mode)`;
+      label.append(input, text);
+      return label;
+    }));
+  }
+  for (const input of box.querySelectorAll('input')) {
+    input.checked = input.value === (mode || DEFAULT_MODES[0]);
+    input.disabled = watching || !modes.length;
+  }
+}
+
+function takeNotice({text, ok, done}) {
+  if (done === 'ResetHeading') look.centre();
+  show(text, ok);
+}
+
+function show(text, ok = true) {
+  const box = $('notice');
+  box.textContent = text;
+  box.classList.toggle('refusal', !ok);
+  box.classList.remove('hidden');
+  clearTimeout(noticeTimer);
+  noticeTimer = setTimeout(() => box.classList.add('hidden'), NOTICE_MS);
+}
+
+function showSituation() {
+  const now = situation({...state, now: performance.now()});
+  document.documentElement.dataset.situation = now.name;
+  document.documentElement.classList.toggle('alarmed', Boolean(now.alarm));
+  setText($('status').querySelector('span'), now.text);
+  setIcon($('status'), now.icon);
+  $('alarm').classList.toggle('hidden', !now.alarm);
+  setText($('alarm').querySelector('strong'), now.alarm ? now.text : '');
+  setText($('alarm').querySelector('span'), now.alarm ? now.detail : '');
+}
+
+// Only changes are read out.
+function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function setIcon(element, icon) {
+  element.querySelector('use').setAttribute('href', `#${icon}`);
+}
+
+// What the operator does.
+
+function robotDoes(command, values) {
+  return () => {
+    if (state.control !== 'yours') show('Another operator steers: take control first.', false);
+    else if (!connection.send(command, values)) show('No connection.', false);
+  };
+}
+
+function unlessDisabled(id, action, explanation) {
+  return () => {
+    if ($(id).getAttribute('aria-disabled') !== 'true') action();
+    else if (state.control === 'yours') show(explanation, false);
+    else robotDoes()();
+  };
+}
+
+function nextMode() {
+  const {modes, mode} = state.robot ?? {modes: []};
+  if (!modes.length) show('This stabilizer knows no modes.', false);
+  else robotDoes('set_mode', {mode: modes[(modes.indexOf(mode) + 1) % modes.length]})();
+}
+
+function takeControl() {
+  connection.send('take_control');
+  state.moved = true;
+  canvas.focus();
+}
+
+function toggleRaw() {
+  state.raw = !state.raw;
+  $('before').setAttribute('aria-pressed', state.raw);
+  showSituation();
+  requestDraw();
+}
+
+function toggleFull() {
+  if (document.fullscreenElement) document.exitFullscreen();
+  else document.documentElement.requestFullscreen?.();
+}
+
+const actions = {
+  reset: unlessDisabled('reset', robotDoes('reset_heading'), 'The stabilizer does not answer.'),
+  level: unlessDisabled('level', robotDoes('level'),
+                        'This stabilizer cannot level the horizon.'),
+  centre: () => look.centre(),
+  before: toggleRaw,
+  out: () => look.zoom(1 / 1.25),
+  in: () => look.zoom(1.25),
+  full: toggleFull,
+  keys: () => $('help').showModal(),
+  take: takeControl,
+};
+const keyActions = {
+  r: 'reset', l: 'level', Home: 'centre', b: 'before', f: 'full', '?': 'keys', c: 'take',
+};
+
+// Start.
+
+const tape = new HeadingTape($('tape'));
+const dial = new AttitudeDial($('attitude'));
+const look = new Look(canvas, looked, id => actions[id]());
+let connection;
+try {
+  renderer = new SphereRenderer(canvas);
+  connection = new Connection({
+    picture: takePicture,
+    state: takeState,
+    notice: takeNotice,
+    open: () => Object.assign(state, {connectedAt: performance.now(), reason: ''}),
+    closed: reason => {
+      Object.assign(state, {
+        connectedAt: null, pictureAt: null, control: 'free', reason, robot: null});
+      showSituation();
+    },
+  });
+  setInterval(showSituation, SITUATION_PERIOD_MS);
+} catch (error) {
+  state.failure = error.message;
+  showSituation();
+}
+
+for (const [id, action] of Object.entries(actions)) $(id).addEventListener('click', action);
+addEventListener('keydown', event => {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
+  if (document.querySelector('dialog[open]')) return;
+  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+  if (key === 'm') nextMode();
+  else if (keyActions[key] && !(key === 'Home' && inUse(event.target))) {
+    event.preventDefault();
+    actions[keyActions[key]]();
+  }
+});
+$('modes').addEventListener('change', ({target}) => robotDoes('set_mode', {mode: target.value})());
+document.addEventListener('fullscreenchange', () =>
+  $('full').setAttribute('aria-pressed', Boolean(document.fullscreenElement)));
+setInterval(showInstruments, INSTRUMENT_PERIOD_MS);
+setInterval(() => [tape, dial].forEach(one => one.describe()), DESCRIPTION_PERIOD_MS);
+new ResizeObserver(resize).observe(canvas);

@@ -1,0 +1,96 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Pictures and their orientations, which come later and on another topic, by their stamps."""
+
+from collections import deque
+from dataclasses import dataclass, replace
+from threading import Lock
+from time import monotonic
+
+# The node is gone when it is silent for so long; pictures then go out without orientation.
+SILENCE_S = 1.0
+# A second of pictures at 30 Hz; a node that is slower than that cannot be steered by.
+MAX_WAITING = 32
+# A camera that does not stamp; the node takes the time of receipt, which we cannot know. The
+# newest picture is then taken to be the one meant.
+UNKNOWN_NS = 0
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Quaternions (x, y, z, w) of the camera, and of the virtual one that is shown."""
+
+    R_world_camera: tuple
+    R_world_virtual: tuple
+
+
+@dataclass(frozen=True)
+class Picture:
+    """
+    A camera's picture as it goes to the browsers.
+
+    ``data`` is a JPEG or PNG file, ``received_s`` its time of receipt by ``monotonic``;
+    ``orientation`` is None without a node. ``derotated`` tells that it is the virtual camera's.
+    """
+
+    stamp_ns: int
+    data: bytes
+    received_s: float
+    orientation: Orientation | None = None
+    derotated: bool = False
+
+
+class Pairing:
+    """
+    Holds each picture until its orientation comes; may be used from several threads.
+
+    Parameters
+    ----------
+    emit : callable
+        Takes each Picture that is complete, one at a time; not to call back.
+
+    """
+
+    def __init__(self, emit, clock=monotonic):
+        self._emit = emit
+        self._clock = clock
+        self._lock = Lock()
+        self._pictures = deque(maxlen=MAX_WAITING)
+        # An orientation may overtake a picture that has to be encoded first.
+        self._orientations = deque(maxlen=MAX_WAITING)
+        self._heard_s = -SILENCE_S
+
+    def add_picture(self, picture):
+        """Emit a picture whose orientation is known, or that no node looks at; keep others."""
+        with self._lock:
+            known = [orientation for stamp_ns, orientation in self._orientations
+                     if stamp_ns == picture.stamp_ns]
+            if known or self._clock() >= self._heard_s + SILENCE_S:
+                self._pictures.clear()
+                self._emit(replace(picture, orientation=known[-1] if known else None))
+            else:
+                if picture.stamp_ns == UNKNOWN_NS:
+                    self._pictures.clear()
+                self._pictures.append(picture)
+
+    def add_orientation(self, stamp_ns, orientation):
+        """Emit the picture of an orientation; those before it were left out by the node."""
+        with self._lock:
+            self._heard_s = self._clock()
+            self._orientations.append((stamp_ns, orientation))
+            if any(picture.stamp_ns in (stamp_ns, UNKNOWN_NS) for picture in self._pictures):
+                while (picture := self._pictures.popleft()).stamp_ns not in (stamp_ns, UNKNOWN_NS):
+                    pass
+                self._emit(replace(picture, orientation=orientation))

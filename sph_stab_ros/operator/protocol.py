@@ -1,0 +1,133 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+What server and page say to each other over the WebSocket.
+
+To the page: pictures as binary messages, a header of JSON and the image file behind it
+(``picture_message``); everything else as JSON texts with a ``type``: ``state``, ``notice``.
+
+From the page: JSON texts, each one of the commands below; whatever else is a ProtocolError.
+"""
+
+from dataclasses import asdict, dataclass, fields
+import json
+from math import isfinite, sqrt
+from struct import pack
+
+# All commands are shorter by far.
+MAX_MESSAGE_BYTES = 1024
+QUATERNION_TOLERANCE = 0.01
+
+
+class ProtocolError(ValueError):
+    """A message that no page of ours sends, with the reason in one line."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """The page has drawn this picture; another one may come."""
+
+    sequence: int
+
+    def __post_init__(self):
+        """Check the value."""
+        if type(self.sequence) is not int or not 0 <= self.sequence < 2**53:
+            raise ProtocolError('sequence is not a number of a picture')
+
+
+@dataclass(frozen=True)
+class Look:
+    """The operator looks there: the quaternion (x, y, z, w) of ``R_virtual_view``."""
+
+    direction: tuple
+
+    def __post_init__(self):
+        """Check the value and make it a unit quaternion."""
+        if not (isinstance(self.direction, list) and len(self.direction) == 4
+                and all(type(one) in (int, float) and abs(one) <= 2 for one in self.direction)):
+            raise ProtocolError('direction is not four numbers')
+        norm = sqrt(sum(one * one for one in self.direction))
+        # Written so that NaN fails too.
+        if not (isfinite(norm) and abs(norm - 1) <= QUATERNION_TOLERANCE):
+            raise ProtocolError('direction is not a unit quaternion')
+        object.__setattr__(self, 'direction', tuple(one / norm for one in self.direction))
+
+
+@dataclass(frozen=True)
+class TakeControl:
+    """From now on this page's look direction and buttons count."""
+
+
+@dataclass(frozen=True)
+class ResetHeading:
+    """Make the camera's present orientation the world's."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """Make the present orientation level."""
+
+
+@dataclass(frozen=True)
+class SetMode:
+    """Change how the view follows the robot."""
+
+    mode: str
+
+    def __post_init__(self):
+        """Check the value."""
+        if not (isinstance(self.mode, str) and 0 < len(self.mode) <= 40):
+            raise ProtocolError('mode is not a name')
+
+
+COMMANDS = {'drawn': Drawn, 'look': Look, 'take_control': TakeControl,
+            'reset_heading': ResetHeading, 'level': Level, 'set_mode': SetMode}
+
+
+def parse_command(text):
+    """Return the command in a message of the page, or raise ProtocolError."""
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ProtocolError('not JSON') from None
+    kind = values.pop('type', None) if isinstance(values, dict) else None
+    command = COMMANDS.get(kind) if isinstance(kind, str) else None
+    if command is None:
+        raise ProtocolError('not a command')
+    if values.keys() != {one.name for one in fields(command)}:
+        raise ProtocolError(f'{kind} takes other values')
+    return command(**values)
+
+
+def picture_message(sequence, picture):
+    """
+    Return the binary message of a Picture.
+
+    Its first four bytes, little-endian, tell the length of the JSON behind them; the rest is the
+    image file.
+    """
+    header = json.dumps({
+        'sequence': sequence,
+        # A JavaScript number cannot hold nanoseconds since 1970.
+        'stamp_ns': str(picture.stamp_ns),
+        'orientation': picture.orientation and asdict(picture.orientation),
+        'derotated': picture.derotated,
+    }).encode()
+    return b''.join((pack('<I', len(header)), header, picture.data))
+
+
+def text_message(kind, **values):
+    """Return a JSON text for the page."""
+    return json.dumps({'type': kind, **values})

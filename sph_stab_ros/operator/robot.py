@@ -1,0 +1,282 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The robot as the page knows it: pictures with orientations, the stabilizer's state and services.
+
+The picture that goes to the browsers is the camera's own file, unturned: the browser derotates it
+while it draws. Of a camera that is not equirectangular the stabilizer's picture is taken. Raw
+images are encoded as JPEG. Without a browser no images are subscribed to.
+"""
+
+import asyncio
+from dataclasses import dataclass
+from threading import Thread
+from time import monotonic
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Quaternion, QuaternionStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.task import Future
+from sph_stab_ros.config import ConfigError, SmoothingConfig
+from sph_stab_ros.operator.pairing import Orientation, Pairing, Picture
+from sph_stab_ros.operator.server import RobotError
+from sph_stab_ros.recording.images import encode_jpeg, image_from_message, ImageError
+from sph_stab_ros.ros.diagnostics import ThrottledLog
+from sph_stab_ros.ros.image_topics import compressed_topic, subscribe_to_images
+from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
+from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
+from sph_stab_ros.smoothing import MODES, Smoother
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+CHECK_PERIOD_S = 0.25
+# Diagnostics come once per second.
+SILENCE_S = 2.5
+ANSWER_S = 3.0
+# Others may change the mode too.
+QUESTION_PERIOD_S = 1.0
+JPEG_QUALITY = 85
+PICTURES = {'camera': 'image', 'stabilizer': 'stabilized/image'}
+MODE, TIME_CONSTANT = 'smoothing.mode', 'smoothing.time_constant_s'
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """
+    What the page shows of the stabilizer.
+
+    ``tracking`` is its own word, '' while it is not heard; ``modes`` are what ``mode`` may be,
+    empty while it is not heard.
+    """
+
+    camera: bool = False
+    tracking: str = ''
+    healthy: bool = False
+    message: str = ''
+    rate_hz: str = ''
+    latency_ms: str = ''
+    modes: tuple = ()
+    mode: str = ''
+    can_reset: bool = False
+    can_level: bool = False
+
+
+class Robot(Node):
+    """
+    The ROS side of the operator's page.
+
+    Parameters
+    ----------
+    stabilizer : str
+        Name of the stabilizer node, relative to this one's namespace.
+    show : callable
+        Takes each Picture; called from threads of this node.
+    pictures : str
+        Whose, one of PICTURES.
+
+    """
+
+    def __init__(self, stabilizer, show, pictures='camera'):
+        super().__init__('operator')
+        self._topic, self._derotated = PICTURES[pictures], pictures == 'stabilizer'
+        self._watched = False
+        self._images = self._transport = None
+        self._frame_id = ''
+        self._image_s = self._diagnostics_s = float('-inf')
+        self._status, self._status_values = DiagnosticStatus(), {}
+        # The node tells the virtual camera on /tf only, which not everybody has; the same
+        # smoothing of the same orientations gives the same.
+        self._smoothing, self._smoother = SmoothingConfig(), Smoother()
+        self._last_stamp_ns = 0
+        self._question, self._next_question_s = Future(), 0.
+        self._log = ThrottledLog(self.get_logger().warning)
+        self._pairing = Pairing(show)
+        self._inbox = OneSlotMailbox()
+        self._worker = Thread(target=self._work, name='encoder', daemon=True)
+        self._worker.start()
+
+        self._look = self.create_publisher(QuaternionStamped, 'view/direction', 10)
+        self._reset = self.create_client(Trigger, f'{stabilizer}/reset')
+        self._level = self.create_client(Trigger, f'{stabilizer}/level')
+        self._node_parameters = AsyncParameterClient(self, stabilizer)
+        name = stabilizer if stabilizer.startswith('/') else \
+            f"{self.get_namespace().rstrip('/')}/{stabilizer}"
+        self._status_name = f'{name}: stabilization'
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+        self.create_subscription(QuaternionStamped, 'orientation', self._on_orientation, 10)
+        self.create_timer(CHECK_PERIOD_S, self._check,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def destroy_node(self):
+        """End the worker and the node."""
+        self._inbox.close()
+        self._worker.join()
+        super().destroy_node()
+
+    # For the web server, from its thread.
+
+    @property
+    def state(self):
+        """Return the present RobotState."""
+        heard = monotonic() < self._diagnostics_s + SILENCE_S
+        values = self._status_values if heard else {}
+        return RobotState(
+            camera=monotonic() < self._image_s + SILENCE_S,
+            tracking=values.get('tracking', ''),
+            healthy=heard and self._status.level == DiagnosticStatus.OK,
+            message=self._status.message if heard else '',
+            rate_hz=values.get('rate_hz', ''),
+            latency_ms=values.get('latency_ms', ''),
+            modes=MODES if heard else (),
+            mode=self._smoothing.mode,
+            can_reset=heard and self._reset.service_is_ready(),
+            can_level=heard and self._level.service_is_ready())
+
+    def watch(self, watched):
+        """Say whether anybody looks at the pictures."""
+        self._watched = watched
+
+    def look(self, direction):
+        """Publish the operator's look direction, the quaternion of R_virtual_view."""
+        x, y, z, w = direction
+        self._look.publish(QuaternionStamped(
+            header=Header(stamp=self.get_clock().now().to_msg(), frame_id=self._frame_id),
+            quaternion=Quaternion(x=x, y=y, z=z, w=w)))
+
+    async def reset_heading(self):
+        """Make the next image's orientation the world's; return what to tell the operator."""
+        await self._call(self._reset)
+        self._smoother = Smoother()
+        return 'Heading reset: ahead is where the robot looks now.'
+
+    async def level(self):
+        """Level the horizon; return what to tell the operator."""
+        await self._call(self._level)
+        return 'The horizon is level.'
+
+    async def set_mode(self, mode):
+        """Change how the view follows the robot; return what to tell the operator."""
+        if mode not in MODES:
+            raise RobotError(f"The stabilizer has no mode '{mode}'.")
+        answer = await self._answer(
+            self._node_parameters.set_parameters([Parameter(MODE, value=mode)]))
+        if not (answer.results and answer.results[0].successful):
+            raise RobotError(answer.results[0].reason if answer.results else 'Refused.')
+        self._smooth(mode, self._smoothing.time_constant_s)
+        return f"Mode: {mode.replace('_', ' ')}."
+
+    async def _call(self, client):
+        """Call a Trigger service."""
+        if not client.service_is_ready():
+            raise RobotError('The stabilizer does not offer that.')
+        answer = await self._answer(client.call_async(Trigger.Request()))
+        if not answer.success:
+            raise RobotError(answer.message or 'The stabilizer refused.')
+
+    async def _answer(self, future):
+        """Wait for an rclpy future in the event loop; return its result."""
+        loop = asyncio.get_running_loop()
+        done = asyncio.Event()
+        future.add_done_callback(lambda _: loop.call_soon_threadsafe(done.set))
+        try:
+            await asyncio.wait_for(done.wait(), ANSWER_S)
+        except asyncio.TimeoutError:
+            future.cancel()
+            raise RobotError('The stabilizer did not answer.') from None
+        return future.result()
+
+    # In the executor's thread.
+
+    def _on_orientation(self, msg):
+        self._frame_id = msg.header.frame_id
+        time_ns = stamp_ns(msg.header.stamp)
+        try:
+            R_world_camera = rotation_from_message(msg)
+        except ValueError as error:
+            self._log.warn('orientation', f'orientation ignored: {error}')
+            return
+        if time_ns < self._last_stamp_ns:
+            self._smoother.reset()
+        self._last_stamp_ns = time_ns
+        R_world_virtual = self._smoother.update(self._smoothing, time_ns, R_world_camera)
+        self._pairing.add_orientation(time_ns, Orientation(
+            tuple(R_world_camera.as_quat().tolist()), tuple(R_world_virtual.as_quat().tolist())))
+
+    def _on_image(self, msg):
+        self._image_s = monotonic()
+        self._inbox.put((msg, self._image_s))
+
+    def _on_diagnostics(self, msg):
+        for status in msg.status:
+            if status.name == self._status_name:
+                self._status = status
+                self._status_values = {pair.key: pair.value for pair in status.values}
+                self._diagnostics_s = monotonic()
+
+    def _check(self):
+        """Subscribe to what there is as far as it is wanted, and ask for the node's mode."""
+        transport = self._present_transport() if self._watched else None
+        if transport != self._transport:
+            if self._images:
+                self.destroy_subscription(self._images)
+                self._images = None
+            if transport:
+                self._images = subscribe_to_images(
+                    self, self._topic, transport, self._on_image)
+            self._transport = transport
+        if monotonic() > self._next_question_s and self._node_parameters.services_are_ready():
+            self._next_question_s = monotonic() + QUESTION_PERIOD_S
+            # What was asked before and not answered, by a node that is gone, will not be.
+            self._question.cancel()
+            self._question = self._node_parameters.get_parameters(
+                [MODE, TIME_CONSTANT], self._on_smoothing)
+
+    def _on_smoothing(self, future):
+        """Smooth as the node does."""
+        # Empty where there are no such parameters.
+        values = [] if future.cancelled() else future.result().values
+        if len(values) == 2:
+            self._smooth(values[0].string_value, values[1].double_value)
+
+    def _smooth(self, mode, time_constant_s):
+        try:
+            self._smoothing = SmoothingConfig(mode, time_constant_s)
+        except ConfigError as error:
+            self._log.warn('smoothing', f'the stabilizer smooths otherwise: {error}')
+
+    def _present_transport(self):
+        """Return how the camera's images are published; as files, where both are."""
+        if self.count_publishers(compressed_topic(self, self._topic)):
+            return 'compressed'
+        # Until there are any, what was subscribed to last may come again.
+        return 'raw' if self.count_publishers(self._topic) else self._transport
+
+    # In the worker's thread.
+
+    def _work(self):
+        while (received := self._inbox.get()) is not None:
+            msg, received_s = received
+            try:
+                # Not numpy's: that would be a view of the message.
+                data = bytes(msg.data) if hasattr(msg, 'format') else \
+                    encode_jpeg(image_from_message(msg), JPEG_QUALITY).tobytes()
+            except ImageError as error:
+                self._log.warn(error.reason, f'image left out, {error}')
+            else:
+                self._pairing.add_picture(Picture(
+                    stamp_ns(msg.header.stamp), data, received_s, derotated=self._derotated))
