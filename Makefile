@@ -4,35 +4,68 @@
 PYTHON ?= python3
 LOGS ?= ../shared/data/rotation_logs
 FRAMES ?= frames
+REAL ?= ../shared/data
+BPY ?= bpyenv/bin/python
 PY := .venv/bin/python
 EVALUATE := $(PY) -m sph_stab_ros.evaluate --flows farneback,dis
+SIMULATE := $(PY) -m sph_stab_ros.simulation
+RENDER := $(BPY) tools/photoreal/render.py
+RESULTS := results/evaluation
+FILL_IN_TABLES := $(PY) -m sph_stab_ros.page_tables $(RESULTS) docs/evaluation.md README.md
 
 # The virtual environments bring their own ROS 2; one that the shell has sourced must not mix in.
 unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
-.PHONY: help setup demo test test-oldest benchmark bags constraints clean
+.PHONY: help setup demo test evaluation evaluation-real evaluation-hard test-oldest benchmark
+.PHONY: benchmark-ros soak frames bags hard-frames hard constraints clean
 
 help:  ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-14s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-17s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test tools
 
-demo: setup  ## Play bags/drone through the node; leaves a video and a plot in results/demo
+demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot in results/demo
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
 test: setup  ## Run all tests
 	$(PY) -m pytest
 
-# Pioneer's motion does not tell how the markers sit on its camera; this is how they do.
+# How the markers sit on the camera, where the motion does not tell or is too short to.
+MOUNT := --mount=-7.182,-3.661,-2.975
+
 evaluation: setup  ## Compare all estimators on the recordings, within half an hour
-	mkdir -p results/evaluation
-	$(EVALUATE) bags/drone --json results/evaluation/drone.json --plots results/evaluation/drone
-	$(EVALUATE) bags/pioneer --json results/evaluation/pioneer.json \
-	    --plots results/evaluation/pioneer --mount=-7.182,-3.661,-2.975
-	$(EVALUATE) bags/handheld --json results/evaluation/handheld.json \
-	    --plots results/evaluation/handheld
+	mkdir -p $(RESULTS)
+	$(EVALUATE) bags/drone --json $(RESULTS)/drone.json --plots $(RESULTS)/drone
+	$(EVALUATE) bags/pioneer --json $(RESULTS)/pioneer.json --plots $(RESULTS)/pioneer $(MOUNT)
+	$(EVALUATE) bags/handheld --json $(RESULTS)/handheld.json --plots $(RESULTS)/handheld
+	$(SIMULATE) synthetic $(RESULTS)/textured --force
+	$(EVALUATE) $(RESULTS)/textured --json $(RESULTS)/textured.json $(MOUNT)
+	cp $(RESULTS)/drone/orientation.png docs/orientation.png
+	$(FILL_IN_TABLES)
+
+CAR = $(EVALUATE) $(REAL)/car_overpass/car_overpass.mp4 --inject 1 --max-frames 60
+THETA = $(EVALUATE) $(REAL)/handheld_theta/handheld_theta.mp4 --max-frames 300
+CAR_BODY := lat:-90,-12
+
+evaluation-real: setup  ## The same on real footage in REAL, by rotations injected into it
+	mkdir -p $(RESULTS)
+	$(CAR) --json $(RESULTS)/car_turned.json
+	$(CAR) --body $(CAR_BODY) --json $(RESULTS)/car_body.json
+	$(CAR) --mask $(CAR_BODY) --json $(RESULTS)/car_mask.json
+	$(THETA) --inject 1 --json $(RESULTS)/theta_1.json
+	$(THETA) --inject 2 --estimators anchored --json $(RESULTS)/theta_2.json
+	$(THETA) --inject 3 --estimators anchored --json $(RESULTS)/theta_3.json
+	$(FILL_IN_TABLES)
+
+evaluation-hard: setup  ## The same on what make hard has written
+	mkdir -p $(RESULTS)
+	for one in drone_15fps drone_bare shake; do \
+	    $(EVALUATE) results/hard/$$one $(MOUNT) --json $(RESULTS)/$$one.json || exit 1; done
+	$(EVALUATE) results/hard/hover $(MOUNT) --every 60 --estimators anchored,pts,moment \
+	    --json $(RESULTS)/hover.json
+	$(FILL_IN_TABLES)
 
 test-oldest: AMENT_PREFIX_PATH = $(CURDIR)/.venv-oldest
 test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported NumPy, OpenCV, ...
@@ -42,13 +75,49 @@ benchmark: setup  ## Time all stages and pipelines; leaves the figures in result
 	mkdir -p results/benchmark
 	$(PY) -m sph_stab_ros.benchmark --json results/benchmark/benchmark.json
 
-bags: setup  ## Write the recordings in bags anew from pictures by tools/photoreal in FRAMES
-	$(PY) -m sph_stab_ros.simulation drone bags/drone --force \
-	    --logs '$(LOGS)' --frames '$(FRAMES)/drone'
-	$(PY) -m sph_stab_ros.simulation pioneer bags/pioneer --force --frames-limit 300 \
+benchmark-ros: setup  ## Measure the node end to end, through the middleware
+	mkdir -p results/benchmark-ros
+	$(PY) -m sph_stab_ros.benchmark_ros --profile config/fastdds_large_images.xml \
+	    --json results/benchmark-ros/benchmark_ros.json
+	@if command -v chromium > /dev/null; then \
+	  $(PY) tools/operator_latency.py --json results/benchmark-ros/operator.json; \
+	else echo "without chromium the operator's page is not measured"; fi
+
+soak: setup  ## Let the node run for ten minutes while everything around it changes
+	mkdir -p results/soak
+	$(PY) -m sph_stab_ros.soak --json results/soak/soak.json
+
+frames:  ## Render the pictures of the recordings into FRAMES by tools/photoreal; resumes
+	$(RENDER) drone '$(FRAMES)/drone' --logs '$(LOGS)' --frames 500
+	$(RENDER) pioneer '$(FRAMES)/pioneer' --logs '$(LOGS)' --frames 300 --samples 4
+	$(RENDER) handheld '$(FRAMES)/handheld' --logs '$(LOGS)' --frames 300 --samples 4
+
+bags: setup  ## Write the recordings in bags anew from pictures in FRAMES
+	$(SIMULATE) drone bags/drone --force --logs '$(LOGS)' --frames '$(FRAMES)/drone'
+	$(SIMULATE) pioneer bags/pioneer --force --frames-limit 300 \
 	    --logs '$(LOGS)' --frames '$(FRAMES)/pioneer'
-	$(PY) -m sph_stab_ros.simulation handheld bags/handheld --force --frames-limit 300 \
+	$(SIMULATE) handheld bags/handheld --force --frames-limit 300 \
 	    --logs '$(LOGS)' --frames '$(FRAMES)/handheld'
+
+HARD_DRONE := --logs '$(LOGS)' --every 2
+HARD_PHOTOREAL := --samples 4 --exposure-s 0.03 --rolling-shutter-s 0.02 --stitch-deg 0.5 \
+    --exposure-steps-ev 0.6
+HARD_QUICK := --hard blur --hard rolling --hard stitch --hard exposure
+hard_pictures = $(if $(wildcard $(FRAMES)/$(1)),--frames '$(FRAMES)/$(1)',$(HARD_QUICK) $(2))
+
+hard-frames:  ## Render the pictures of the hard recordings into FRAMES; resumes
+	$(RENDER) drone '$(FRAMES)/drone_15fps' $(HARD_DRONE) --frames 240 $(HARD_PHOTOREAL)
+	$(RENDER) drone '$(FRAMES)/drone_bare' $(HARD_DRONE) --frames 240 --bare $(HARD_PHOTOREAL)
+	$(RENDER) shake '$(FRAMES)/shake' --frames 60 $(HARD_PHOTOREAL)
+
+hard: setup  ## Write the hard recordings from pictures in FRAMES, else quickly rendered
+	mkdir -p results/hard
+	$(SIMULATE) drone results/hard/drone_15fps --force --frames-limit 120 $(HARD_DRONE) \
+	    $(call hard_pictures,drone_15fps)
+	$(SIMULATE) drone results/hard/drone_bare --force --frames-limit 120 $(HARD_DRONE) \
+	    $(call hard_pictures,drone_bare,--hard plain)
+	$(SIMULATE) shake results/hard/shake --force --frames-limit 60 $(call hard_pictures,shake)
+	$(SIMULATE) hover results/hard/hover --force --hard exposure
 
 constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 	uv pip compile --universal --python-version 3.10 --all-extras --no-annotate --upgrade \

@@ -17,10 +17,13 @@
 import argparse
 import logging
 import os
+from pathlib import Path
 import signal
 import sys
 
-from sph_stab_ros.config import ConfigError, options, TrackerConfig
+from sph_stab_ros.calibration_file import read_calibration
+from sph_stab_ros.config import (
+    ConfigError, DUAL_FISHEYE, EQUIRECT, options, StabilizerConfig, TrackerConfig)
 from sph_stab_ros.masks import load_mask, MaskError
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.trackers import working_width
@@ -49,14 +52,62 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f'{self.prog}: {message}\n')
 
 
-def add_tracker_options(parser):
+def add_recording(parser, name):
+    """Add arguments for a recording to read, called ``name``, and for what of it."""
+    parser.add_argument('recording', metavar=name, type=Path,
+                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    parser.add_argument('--image-topic', metavar='TOPIC',
+                        help='where the images are in a bag with several image topics')
+    parser.add_argument('--max-frames', metavar='N', type=_count, help='stop after N pictures')
+
+
+def frames_to_read(recording, max_frames):
+    """Return how many pictures a Recording has, ``max_frames`` at most; None if unknown."""
+    return min(filter(None, (recording.frame_count, max_frames)), default=None)
+
+
+def _count(text):
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError('must be at least 1')
+    return count
+
+
+def add_tracker_options(parser, without=()):
     """Add an argument for each option of TrackerConfig: ``--working-width`` and so on."""
     group = parser.add_argument_group('estimator')
     for option in options(TrackerConfig):
+        if option.name in without:
+            continue
         group.add_argument(
             '--' + option.name.replace('_', '-'), type=type(option.default),
             default=option.default, choices=option.choices, metavar=_metavar(option),
             help=f'{option.description} (default: %(default)s)')
+
+
+def add_projection_options(parser):
+    """Add arguments for what the pictures are."""
+    group = parser.add_argument_group('projection')
+    by_name = {one.name: one for one in options(StabilizerConfig)}
+    group.add_argument(
+        '--projection', choices=by_name['projection'].choices,
+        help=f'{by_name["projection"].description} (default: equirect)')
+    group.add_argument(
+        '--calibration', metavar='FILE.yaml', type=Path,
+        help='parameters fisheye.* of the lenses, as calibrate writes them; the pictures are then '
+        "dual_fisheye (default: a Theta S')")
+
+
+def projection_options(parser, args):
+    """Return the options of StabilizerConfig, by name, that parsed arguments give."""
+    if args.calibration is None:
+        return {'projection': args.projection or EQUIRECT}
+    if args.projection == EQUIRECT:
+        parser.error('--calibration is for --projection dual_fisheye')
+    try:
+        return {'projection': DUAL_FISHEYE, 'fisheye': read_calibration(args.calibration)}
+    except ConfigError as error:
+        parser.error(f'--calibration: {error}')
 
 
 def tracker_config(parser, args):

@@ -16,6 +16,7 @@
 
 from argparse import ArgumentTypeError, Namespace
 from contextlib import ExitStack
+from dataclasses import replace
 import importlib
 from itertools import product
 import json
@@ -26,12 +27,18 @@ import sys
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros import report
 from sph_stab_ros.alignment import EvaluationError, R_FLU_OPTICAL
-from sph_stab_ros.command_line import Parser, run, tracker_config
-from sph_stab_ros.config import ANCHORED, options, StabilizerConfig, TrackerConfig
+from sph_stab_ros.command_line import (
+    add_projection_options, add_recording, add_tracker_options, frames_to_read, Parser,
+    projection_options, run, tracker_config)
+from sph_stab_ros.config import (
+    ANCHORED, EQUIRECT, MIN_WIDTH, options, StabilizerConfig, TrackerConfig)
 from sph_stab_ros.evaluation import evaluate_against_truth, evaluate_injected
+from sph_stab_ros.masks import load_mask, MaskError
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.stitched import Stitched
 from sph_stab_ros.trajectory import NS_PER_S
 from sph_stab_ros.truth import find_truth_topic, read_truth
 from sph_stab_ros.warp import view_rotation
@@ -52,7 +59,8 @@ MIN_DOUBTED_RAD = np.deg2rad(1)
 def evaluate(args, configs):
     """Do what the command line says."""
     recording = open_recording(args.recording, args.image_topic)
-    frames = min(filter(None, (recording.frame_count, args.max_frames)), default=None)
+    spheres = Stitched(recording, next(iter(configs.values())))
+    frames = frames_to_read(recording, args.max_frames)
     if args.plots:
         make_plots_folder(args.plots)
 
@@ -65,84 +73,46 @@ def evaluate(args, configs):
             file = stack.enter_context(partial_output(args.json, force=True))
         stack.enter_context(logging_redirect_tqdm())
         if args.inject is None:
-            topic = args.truth or find_truth_topic(recording)
-            truth = read_truth(recording, topic)
-            alignment, errors, figures = evaluate_against_truth(
-                recording, configs, truth, args.mount, args.clock_offset, args.max_frames,
-                progress)
-            about = {'truth': topic, **describe(alignment, args.mount is not None)}
-            print(f'{recording.name}: {len(truth)} true orientations in {topic}')
-            for line in alignment_lines(about, args.clock_offset is None):
-                print(line)
-            warn(recording.name, alignment)
+            about, errors, figures = by_truth(args, recording, configs, progress)
         else:
-            if frames is None or frames < 2:
-                raise EvaluationError('--inject needs two frames or more'
-                                      if frames else 'unknown length, add --max-frames N')
-            errors, figures = evaluate_injected(
-                recording, configs, args.inject, frames, progress)
-            about = {'injected_seed': args.inject}
-            print(f'{recording.name}: turned by the known rotations of seed {args.inject}; of the '
-                  'clip itself these turns were found: ' + ', '.join(
-                      f'{name} {one["clip_turn_deg"]:.1f} deg' for name, one in figures.items()))
-        left_out = max(one['frames_not_evaluated'] for one in figures.values())
-        if left_out:
-            print(f'{left_out} frames are not evaluated: before, after or in a gap of the truth, '
-                  'or with a stamp that goes back')
-        for line in table(figures):
+            about, errors, figures = by_injection(args, spheres, configs, frames, progress)
+        if args.every:
+            for name, one in errors.items():
+                figures[name]['over_time'] = one.over_time(args.every)
+        for line in report.error_lines(figures):
             print(line)
         if args.json:
             file.write_text(json.dumps(
                 {'recording': recording.name, **about, 'estimators': figures}, indent=2) + '\n')
     if args.plots:
-        draw(args.plots, recording, errors)
+        draw(args.plots, spheres, errors)
 
 
-def table(figures):
-    """Yield the lines of a table of figures by estimator."""
-    rows = [('estimator', 'roll', 'pitch', 'yaw', 'mean', 'max', 'end', 'median', 'p95', 'max',
-             'drift', 'time', 'frames', 'lost'),
-            ('', *3 * ('|deg|',), *6 * ('deg',), 'deg/min', 'ms', '', '')]
-    for name, one in figures.items():
-        degrees = (one[group][key] for group, keys in (
-            ('mean_abs_error_deg', ('roll', 'pitch', 'yaw')),
-            ('geodesic_deg', ('mean', 'max', 'end')),
-            ('per_frame_deg', ('median', 'p95', 'max'))) for key in keys)
-        rows.append((name, *(f'{value:.3f}' for value in degrees),
-                     f'{one["drift_deg_per_min"]:.2f}', f'{one["ms_per_frame"]:.1f}',
-                     f'{one["frames"]}', f'{one["lost_frames"]}'))
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    groups = (sum(widths[i:i + 3]) + 4 for i in (1, 4, 7))
-    titles = ('mean absolute', 'geodesic', 'per frame')
-    yield '  '.join((widths[0] * ' ', *map(str.center, titles, groups))).rstrip()
-    for name, *cells in rows:
-        yield '  '.join((name.ljust(widths[0]), *map(str.rjust, cells, widths[1:]))).rstrip()
+def by_truth(args, recording, configs, progress):
+    """Return what to say about the alignment, and Errors and figures by estimator."""
+    topic = args.truth or find_truth_topic(recording)
+    truth = read_truth(recording, topic)
+    alignment, errors, figures = evaluate_against_truth(
+        recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress)
+    about = {'truth': topic, **report.describe(alignment, args.mount is not None)}
+    print(f'{recording.name}: {len(truth)} true orientations in {topic}')
+    for line in report.alignment_lines(about, args.clock_offset is None):
+        print(line)
+    warn(recording.name, alignment)
+    return about, errors, figures
 
 
-def describe(alignment, mount_given):
-    """Return the Alignment as figures; the mount's angles as ``--mount`` takes them."""
-    yaw, pitch, roll = (R_FLU_OPTICAL.inv() * alignment.R_body_camera).as_euler(
-        'YXZ', degrees=True).tolist()
-    return {
-        'mount': {
-            'source': 'given' if mount_given else
-                      'solved' if alignment.mount_solved else 'assumed',
-            'yaw_deg': -yaw, 'pitch_deg': pitch, 'roll_deg': roll},
-        'clock_offset_s': alignment.clock_offset_ns / NS_PER_S,
-    }
-
-
-def alignment_lines(about, clock_solved):
-    """Yield lines for people of what ``describe`` returned."""
-    mount = about['mount']
-    if mount['source'] == 'assumed':
-        yield ('mount: cannot be solved for, the motion does not span two axes; assumed is a '
-               'camera that looks forward on a REP 103 body (another: --mount YAW,PITCH,ROLL)')
-    else:
-        yield (f'mount, {mount["source"]}: on the body the camera looks {mount["yaw_deg"]:.2f} '
-               f'deg to the left, {mount["pitch_deg"]:.2f} up, rolled by {mount["roll_deg"]:.2f}')
-    how = 'found' if clock_solved else 'given'
-    yield f'clock offset, {how}: {about["clock_offset_s"]:+.4f} s (stamps of truth minus images)'
+def by_injection(args, spheres, configs, frames, progress):
+    """Return what to say about the injection, and Errors and figures by estimator."""
+    if frames is None or frames < 2:
+        raise EvaluationError('--inject needs two frames or more'
+                              if frames else 'unknown length, add --max-frames N')
+    configs = {name: replace(config, projection=EQUIRECT) for name, config in configs.items()}
+    errors, figures = evaluate_injected(
+        spheres, configs, args.inject, frames, args.body, progress)
+    about = {'injected_seed': args.inject, 'body': args.body, 'mask': args.mask}
+    print(f'{spheres.name}: ' + report.injection_line(about, figures))
+    return about, errors, figures
 
 
 def warn(name, alignment):
@@ -221,8 +191,7 @@ def output_argument(text):
 def arguments(argv):
     """Return the parsed command line and StabilizerConfigs by name; exit 2 on a wrong call."""
     parser = Parser(prog='evaluate', description=__doc__)
-    parser.add_argument('recording', metavar='REC', type=Path,
-                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    add_recording(parser, 'REC')
     parser.add_argument('--estimators', metavar='A,B,...', type=names_argument(ESTIMATORS),
                         default=ESTIMATORS, help=f'of {", ".join(ESTIMATORS)} (default: all)')
     parser.add_argument('--flows', metavar='A,B', type=names_argument(FLOWS),
@@ -239,21 +208,21 @@ def arguments(argv):
                         help="the truth's stamps minus the images' (default: 0)")
     parser.add_argument('--inject', metavar='SEED', type=int,
                         help='need no truth: turn the footage by known rotations')
-    parser.add_argument('--image-topic', metavar='TOPIC',
-                        help='where the images are in a bag with several image topics')
-    parser.add_argument('--max-frames', metavar='N', type=int, help='stop after N pictures')
+    parser.add_argument('--body', metavar='MASK',
+                        help='with --inject, what is fixed to the camera and does not turn with '
+                        'the world, written as --mask is (default: what that leaves out)')
+    parser.add_argument('--every', metavar='SECONDS', type=float,
+                        help='tell the error in the course of time too')
     parser.add_argument('--json', metavar='FILE', type=output_argument,
                         help='write the figures, replacing the file')
     parser.add_argument('--plots', metavar='DIR', type=output_argument,
                         help='draw figures into a folder')
-    for name, option in OPTIONS.items():
-        if name not in ('estimator', 'flow'):
-            parser.add_argument(
-                '--' + name.replace('_', '-'), type=type(option.default), default=option.default,
-                metavar='VALUE', help=f'{option.description} (default: %(default)s)')
+    add_projection_options(parser)
+    add_tracker_options(parser, without=('estimator', 'flow'))
     args = parser.parse_args(argv)
-    if args.max_frames is not None and args.max_frames < 1:
-        parser.error('--max-frames must be at least 1')
+    # Written so that NaN fails.
+    if args.every is not None and not args.every > 0:
+        parser.error('--every needs a number of seconds above 0')
     if args.json and args.json.is_dir():
         parser.error(f"--json needs a file, '{args.json}' is a folder")
     if args.inject is not None:
@@ -261,11 +230,19 @@ def arguments(argv):
             parser.error('--inject needs no --truth, --mount or --clock-offset')
         if args.inject < 0:
             parser.error('--inject needs a SEED of 0 or more')
+        args.body = args.mask if args.body is None else args.body
+        try:
+            load_mask(args.body, MIN_WIDTH)
+        except MaskError as error:
+            parser.error(f'--body: {error}')
+    elif args.body:
+        parser.error('--body needs --inject')
+    projection = projection_options(parser, args)
     configs = {}
     for estimator, flow in product(args.estimators, args.flows or [TrackerConfig.flow]):
         name = f'{estimator}/{flow}' if args.flows and estimator not in WITHOUT_FLOW else estimator
         configs[name] = StabilizerConfig(tracker=tracker_config(
-            parser, Namespace(**vars(args), estimator=estimator, flow=flow)))
+            parser, Namespace(**vars(args), estimator=estimator, flow=flow)), **projection)
     return args, configs
 
 

@@ -76,6 +76,17 @@ class Errors:
             'drift_deg_per_min': self.drift_deg_per_min,
         }
 
+    def over_time(self, period_s):
+        """Return the geodesic error at the frames nearest to each multiple of a period."""
+        # The frame that would close the last period need not be there.
+        end_s = self.time_s[-1] + np.median(np.diff(self.time_s))
+        wanted_s = period_s * np.arange(1, 1 + int(end_s / period_s + 1e-6))
+        after = np.clip(np.searchsorted(self.time_s, wanted_s), 1, len(self.time_s) - 1)
+        before_is_nearer = 2 * wanted_s < self.time_s[after - 1] + self.time_s[after]
+        nearest = after - before_is_nearer
+        return {'time_s': self.time_s[nearest].tolist(),
+                'geodesic_deg': self.geodesic_deg[nearest].tolist()}
+
 
 def compare(truth, estimate, alignment):
     """
@@ -186,9 +197,12 @@ def evaluate_against_truth(recording, configs, truth, R_body_camera=None, clock_
     return alignment, errors, {name: run.summary(errors[name]) for name, run in runs.items()}
 
 
-def evaluate_injected(recording, configs, seed, frames, progress=lambda name, frames: frames):
+def evaluate_injected(recording, configs, seed, frames, body='',
+                      progress=lambda name, frames: frames):
     """
     Evaluate StabilizerConfigs, by name, on so many frames turned by the rotations of a seed.
+
+    The ``body`` (as ``load_mask`` takes it) stays where it is.
 
     Returns by name Errors and summaries of figures, to which ``clip_turn_deg`` is added: the
     largest angle from the first frame in the clip as it is.
@@ -196,7 +210,8 @@ def evaluate_injected(recording, configs, seed, frames, progress=lambda name, fr
     errors, figures = {}, {}
     for name, config in configs.items():
         shaken = Run(config)
-        both = ShakenStabilizer(Stabilizer(config), shaken, injected_rotations(seed, frames))
+        both = ShakenStabilizer(
+            Stabilizer(config), shaken, injected_rotations(seed, frames), body)
         replay(recording, both, max_frames=frames,
                progress=lambda frames: progress(name, frames))
         errors[name] = compare(shaken.true_trajectory(both.true_rotations()), shaken.trajectory(),

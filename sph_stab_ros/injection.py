@@ -22,7 +22,9 @@ same composed with what was injected::
     R_world_shaken = R_world_camera R_camera_shaken
 
 Both are estimated by the same estimator, so that only what the injection changes counts: an error
-that both make alike, such as a slow drift or locking onto the robot's own body, does not show.
+that both make alike, such as a slow drift, does not show. Neither does locking onto the robot's
+own body, which is part of the picture and turned with it; unless it is named: then only the world
+is turned, and the body stays where it is, as that of a real robot does.
 """
 
 from dataclasses import replace
@@ -33,6 +35,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import bearing_grid, pad_sphere, pixels_from_bearings
+from sph_stab_ros.masks import load_mask
 from sph_stab_ros.warp import view_rotation
 
 # Yaw, pitch, roll.
@@ -40,6 +43,8 @@ PEAKS_DEG = (25., 12., 15.)
 SIGMAS_FRAMES = (12., 8., 8.)
 # Lanczos over 8×8 pixels reads up to four pixels beyond the image.
 MARGIN_PX = 4
+FILL_WIDTH = 128
+FILL_SIGMA_PX = 4
 
 
 def injected_rotations(seed, frames):
@@ -70,6 +75,34 @@ def turned(image, R_source_target):
     return cv2.remap(pad_sphere(image, MARGIN_PX), uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4)
 
 
+def turned_world(image, R_source_target, world):
+    """
+    Return ``turned`` where the ``world`` (H, W) bool is seen; other pixels stay as they are.
+
+    What they hide of the world is filled in with the blurred colours around it.
+    """
+    filled = np.where(_like(world, image), image, _blurred(image, world))
+    return np.where(_like(world, image), turned(filled, R_source_target), image)
+
+
+def _blurred(image, world):
+    """Return an image (H, W[, C]) of the world's blurred colours, spread over all of it."""
+    size_wh = image.shape[1::-1]
+
+    def spread(values):
+        small = cv2.resize(values.astype(np.float32), (FILL_WIDTH, FILL_WIDTH // 2),
+                           interpolation=cv2.INTER_AREA)
+        # A little of everything, for where the blur does not reach.
+        blurred = cv2.GaussianBlur(small, (0, 0), FILL_SIGMA_PX) + 1e-6 * small.mean(axis=(0, 1))
+        return cv2.resize(blurred, size_wh)
+    weights = spread(world)
+    return np.rint(spread(image * _like(world, image)) / _like(weights, image)).astype(np.uint8)
+
+
+def _like(mask, image):
+    return mask[..., None] if image.ndim == 3 else mask
+
+
 class ShakenStabilizer:
     """
     Two Stabilizers side by side, one for a clip, one for the clip with rotations injected.
@@ -79,20 +112,26 @@ class ShakenStabilizer:
     clip, shaken : Stabilizer
     R_camera_shaken : Rotation
         What to inject, one for each frame to come.
+    body : str
+        What is fixed to the camera and does not turn with the world, as ``load_mask`` takes it.
 
     """
 
-    def __init__(self, clip, shaken, R_camera_shaken):
+    def __init__(self, clip, shaken, R_camera_shaken, body=''):
         self._clip = clip
         self._shaken = shaken
         self._R_camera_shaken = R_camera_shaken
+        self._body = body
         self._R_world_camera = []
 
     def process(self, frame):
         """Process a Frame twice; return the StabilizedFrame of the shaken one."""
         R_camera_shaken = self._R_camera_shaken[len(self._R_world_camera)]
         self._R_world_camera.append(self._clip.process(frame).R_world_camera)
-        return self._shaken.process(replace(frame, image=turned(frame.image, R_camera_shaken)))
+        world = load_mask(self._body, frame.image.shape[1])
+        image = (turned(frame.image, R_camera_shaken) if world is None else
+                 turned_world(frame.image, R_camera_shaken, world))
+        return self._shaken.process(replace(frame, image=image))
 
     def clip_rotations(self):
         """Return R_world_camera, as found in the clip itself, of the frames so far."""

@@ -25,8 +25,10 @@ import time
 
 import numpy as np
 
-from sph_stab_ros.command_line import add_tracker_options, Parser, run, tracker_config
-from sph_stab_ros.config import ANCHORED, NodeConfig, ViewConfig
+from sph_stab_ros.command_line import (
+    add_projection_options, add_recording, add_tracker_options, frames_to_read, Parser,
+    projection_options, run, tracker_config)
+from sph_stab_ros.config import ANCHORED, NodeConfig, SmoothingConfig, ViewConfig
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.side_by_side import side_by_side
@@ -93,8 +95,8 @@ def replay(recording, stabilizer, sinks=(), max_frames=None, progress=iter):
             try:
                 stabilized = stabilizer.process(frame)
             except FrameError as error:
-                summary.left_out['unusable'] += 1
-                if summary.left_out['unusable'] == 1:
+                summary.left_out[error.reason] += 1
+                if summary.left_out[error.reason] == 1:
                     logger.warning('%s: picture left out, %s (more of these are only counted)',
                                    recording.name, error)
                 continue
@@ -126,7 +128,7 @@ def bag_sink(path, force, stack, config):
     """Return a sink that writes what the node publishes into a rosbag2 folder."""
     from sph_stab_ros.recording.bag_writer import BagWriter
     writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
-    world, view = config.stabilized_frame, config.view_frame
+    world, view = config.stabilized_frame, config.view.frame_id
     R_world_view, hfov_rad, size_wh = view_geometry(config.view)
 
     def write(s):
@@ -183,28 +185,33 @@ def view_argument(text):
     return ViewConfig(**dict(zip(names, values, strict=True)))
 
 
+def smoothing_argument(text):
+    """Return the SmoothingConfig of ``MODE`` or ``MODE:SECONDS``."""
+    mode, colon, seconds = text.partition(':')
+    return SmoothingConfig(mode, float(seconds)) if colon else SmoothingConfig(mode)
+
+
 def arguments(argv):
-    """Return the parsed command line and the TrackerConfig; exit 2 on a wrong call."""
+    """Return the parsed command line and the NodeConfig; exit 2 on a wrong call."""
     parser = Parser(prog='replay', description=__doc__)
-    parser.add_argument('recording', metavar='IN', type=Path,
-                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    add_recording(parser, 'IN')
     parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
                         help='rosbag2 folder or .mp4; nothing is warped without it')
     parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
                         help='write "stamp 0 0 0 qx qy qz qw" of each picture')
-    parser.add_argument('--image-topic', metavar='TOPIC',
-                        help='where the images are in a bag with several image topics')
-    parser.add_argument('--max-frames', metavar='N', type=int, help='stop after N pictures')
     parser.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', type=view_argument,
                         help='perspective view in degrees; an .mp4 shows it instead of the '
                         'sphere (--view=-30,0,0,90: with = before a minus)')
+    parser.add_argument('--smoothing', metavar='MODE[:SECONDS]', type=smoothing_argument,
+                        default=SmoothingConfig(),
+                        help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
+                        'slow turns of heading, with this time constant (default: lock)')
     parser.add_argument('--side-by-side', action='store_true',
                         help='an .mp4 of sphere, front and back view, recorded and stabilised')
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
+    add_projection_options(parser)
     add_tracker_options(parser)
     args = parser.parse_args(argv)
-    if args.max_frames is not None and args.max_frames < 1:
-        parser.error('--max-frames must be at least 1')
     if args.out is None and (args.view or args.side_by_side):
         parser.error('--view and --side-by-side need OUT')
     if args.out is not None and args.out.suffix not in ('', '.mp4'):
@@ -214,18 +221,19 @@ def arguments(argv):
     paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
     if len(set(paths)) < len(paths):
         parser.error('IN, OUT and --trajectory must be different files')
-    return args, tracker_config(parser, args)
+    # The same defaults as the node's, of which a bag is to look like a recording.
+    return args, NodeConfig(
+        tracker=tracker_config(parser, args), view=args.view or ViewConfig(),
+        smoothing=args.smoothing, **projection_options(parser, args))
 
 
 def main(argv=None):
     """Run the command line; return the exit status."""
-    args, tracker = arguments(argv)
-    # The same defaults as the node's, of which a bag is to look like a recording.
-    config = NodeConfig(tracker=tracker, view=args.view or ViewConfig())
+    args, config = arguments(argv)
 
     def command():
         recording = open_recording(args.recording, args.image_topic)
-        total = min(filter(None, (recording.frame_count, args.max_frames)), default=None)
+        total = frames_to_read(recording, args.max_frames)
         start_s = time.perf_counter()
         with ExitStack() as stack:
             sinks = []

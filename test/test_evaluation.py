@@ -90,6 +90,22 @@ def test_clock_offset_is_found_from_a_noisy_estimate():
     assert abs(found.clock_offset_ns / NS_PER_S - 0.4) < 1e-3
 
 
+@pytest.mark.parametrize('phase', [0, 3])
+def test_a_vibration_does_not_mislead_the_clock(phase):
+    """A ground robot turns slowly and vibrates at half the frame rate."""
+    def vibrating(stamps_ns):
+        t = (stamps_ns - START_NS) / NS_PER_S
+        roll, pitch = (0.4 * np.sin(2 * np.pi * hz * t + phase) for hz in (7.1, 6.7))
+        return Rotation.from_euler(
+            'YXZ', np.transpose((20 * np.sin(0.5 * t + phase), pitch, roll)), degrees=True)
+    rng = np.random.default_rng(phase)
+    taken_ns, true_ns = stamps(15), stamps(100, -1.003, SECONDS + 2)
+    noise = Rotation.from_rotvec(np.deg2rad(rng.normal(0, 0.02, (len(taken_ns), 3))))
+    found = align(Trajectory(true_ns + 4 * 10**8, vibrating(true_ns) * MOUNT.inv()),
+                  Trajectory(taken_ns, vibrating(taken_ns) * noise))
+    assert abs(found.clock_offset_ns / NS_PER_S - 0.4) < 1e-3
+
+
 def test_mount_does_not_follow_moments_of_lost_tracking():
     estimate = estimated()
     kicks = Rotation.from_rotvec(np.where(
@@ -142,6 +158,21 @@ def test_known_drift_is_scored():
     assert figures['geodesic_deg']['end'] == pytest.approx(1., abs=0.01)
     assert figures['geodesic_deg']['mean'] == pytest.approx(0.5, abs=0.01)
     assert figures['per_frame_deg']['median'] == pytest.approx(3. / 60 / 30, abs=1e-3)
+
+
+def test_errors_over_time_are_those_of_the_nearest_frames():
+    stamps_ns = stamps(30)
+    seconds = (stamps_ns - START_NS) / NS_PER_S
+    drift = Trajectory(stamps_ns, Rotation.from_rotvec(
+        np.deg2rad(seconds)[:, None] * (0, 1, 0)))
+    still = Trajectory(stamps_ns, Rotation.from_rotvec(np.zeros((len(drift), 3))))
+    told = compare(still, drift, Alignment(Rotation.identity())).over_time(4.99)
+    # A whole last period counts though its end is where the next frame would be.
+    assert told['time_s'] == pytest.approx([4.99, 9.98, 14.97, 19.96], abs=1 / 60)
+    assert told['geodesic_deg'] == pytest.approx(told['time_s'], abs=1e-6)
+    assert compare(still, drift, Alignment(Rotation.identity())).over_time(
+        20)['time_s'] == pytest.approx([20 - 1 / 30])
+    assert compare(still, drift, Alignment(Rotation.identity())).over_time(21)['time_s'] == []
 
 
 @pytest.mark.parametrize('axis, optical', [('roll', (0, 0, 1)), ('pitch', (-1, 0, 0)),

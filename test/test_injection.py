@@ -16,13 +16,15 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.evaluate import main
 from sph_stab_ros.frame import Frame
-from sph_stab_ros.injection import injected_rotations, ShakenStabilizer, turned
+from sph_stab_ros.injection import injected_rotations, ShakenStabilizer, turned, turned_world
+from sph_stab_ros.masks import load_mask
 from sph_stab_ros.stabilization import StabilizedFrame
 from sph_stab_ros.trackers import TrackingStatus
 
@@ -63,6 +65,29 @@ def test_turned_shows_what_the_turned_camera_sees(rotvec):
         difference = np.abs(turned(image, R_world_camera).astype(int) - expected)
         assert difference.mean() < 0.6
         assert difference.max() < 12
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_body_stays_while_the_world_is_turned(seed):
+    world = load_mask('lat:-90,-20', 256)
+    R_camera_shaken = Rotation.from_rotvec(np.random.default_rng(seed).normal(0, 0.2, 3))
+    image = np.where(world, textured_sphere(256) // 2, 255).astype(np.uint8)
+    for picture in (image, np.dstack(3 * [image])):
+        seen = turned_world(picture, R_camera_shaken, world)
+        np.testing.assert_array_equal(seen[~world], picture[~world])
+        # Two pixels beyond what the body hides the interpolation does not know of it.
+        hidden = turned(np.where(world, 0, 255).astype(np.uint8), R_camera_shaken) > 0
+        apart = cv2.dilate(hidden.astype(np.uint8), np.ones((5, 5))) == 0
+        free = world & apart
+        assert free.mean() > 0.3
+        np.testing.assert_array_equal(seen[free], turned(picture, R_camera_shaken)[free])
+        # Nothing of the white body is seen in the world, not where it hides that either.
+        assert seen[world].max() < 160
+
+
+def test_a_world_that_is_not_turned_stays_as_it_is():
+    image, world = textured_sphere(128), load_mask('lat:-90,-20', 128)
+    assert np.abs(turned_world(image, Rotation.identity(), world).astype(int) - image).max() < 2
 
 
 class Oracle:
@@ -110,6 +135,26 @@ def test_injection_into_a_bag_is_recovered_twice_the_same(turning_bag, tmp_path)
     assert first['geodesic_deg']['max'] < 1
     assert figures(turning_bag, tmp_path / '2.json') == first
     assert figures(turning_bag, tmp_path / '3.json', '--max-frames', '10')['frames'] == 10
+
+
+def test_a_body_that_does_not_turn_misleads_until_it_is_masked(turning_bag, tmp_path):
+    errors_deg = []
+    for option in ('--body', '--mask'):
+        file = tmp_path / f'{option}.json'
+        assert main([str(turning_bag), '--inject', '1', '--estimators', 'anchored', option,
+                     'lat:-90,-20', '--json', str(file)]) == 0
+        said = json.loads(file.read_text())
+        assert said['body'] == 'lat:-90,-20'
+        errors_deg.append(said['estimators']['anchored']['geodesic_deg']['max'])
+    misled_deg, masked_deg = errors_deg
+    assert masked_deg < misled_deg / 2
+
+
+def test_errors_over_time_are_told_where_asked(turning_bag, tmp_path, capsys):
+    told = figures(turning_bag, tmp_path / '1.json', '--every', '0.1')['over_time']
+    assert 'geodesic [deg] after' in capsys.readouterr().out
+    assert told['time_s'] == pytest.approx([3 / 30, 6 / 30, 9 / 30, 11 / 30])
+    assert len(told['geodesic_deg']) == 4
 
 
 def test_injection_into_a_video_is_recovered(turning_video, tmp_path):

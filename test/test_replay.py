@@ -116,6 +116,19 @@ def test_a_video_of_a_video(turning_video, tmp_path):
     assert stamps_ns[0] == 0 and np.abs(np.diff(stamps_ns) - PERIOD_NS).max() < 2e4
 
 
+def test_a_video_may_follow_slow_turns(turning_bag, tmp_path):
+    """It begins as the locked one does and ends nearer to what was recorded."""
+    locked, following = tmp_path / 'locked.mp4', tmp_path / 'following.mp4'
+    call(turning_bag, locked)
+    call(turning_bag, following, '--smoothing', 'follow:0.3')
+    locked, following = frames_of(locked), frames_of(following)
+    first, last = (np.abs(following[i].astype(int) - locked[i]).mean() for i in (0, -1))
+    assert first < last / 3
+    recorded = [frame.image.astype(int) for frame in open_recording(turning_bag).frames()]
+    assert np.abs(following[-1] - recorded[-1]).mean() < np.abs(locked[-1] - recorded[-1]).mean()
+    assert np.abs(following[-1] - recorded[0]).mean() > np.abs(locked[-1] - recorded[0]).mean()
+
+
 def test_a_video_of_the_view(turning_bag, tmp_path):
     """It has the size of the view's picture and stands still too."""
     call(turning_bag, tmp_path / 'out.mp4', '--view', '90,0,0,90', '--max-frames', 4)
@@ -232,6 +245,8 @@ def test_pictures_that_are_too_small_are_no_recording():
     ('{bag}', '{new}', '--side-by-side'), ('{bag}', '{new}', '--view', '0,0,0'),
     ('{bag}', '{new}', '--view', '0,0,0,400'), ('{bag}', '{new}', '--view', 'a,b,c,d'),
     ('{bag}', '--max-frames', '0'), ('{bag}', '--max-frames', 'x'), ('{bag}', '{bag}', '--force'),
+    ('{bag}', '--smoothing', 'magic'), ('{bag}', '--smoothing', 'follow:fast'),
+    ('{bag}', '--smoothing', 'follow:0'),
     ('{bag}', '--estimator', 'magic'), ('{bag}', '--flow', 'magic'), ('{bag}', '--no-such-option'),
     ('{bag}', '--mask', 'missing.png'), ('{bag}', '--mask', 'lat:10,-10'),
     ('{bag}', '--working-width', '5'),

@@ -279,7 +279,8 @@ def test_command_writes_a_recording_and_never_over_another(tmp_path, capsys):
 def test_command_makes_hard_recordings(tmp_path):
     hard = [word for name in ('plain', 'blur', 'rolling', 'stitch', 'exposure')
             for word in ('--hard', name)]
-    assert simulate('synthetic', tmp_path / 'bag', '--frames-limit', 2, '--width', 32, *hard) == 0
+    assert simulate('synthetic', tmp_path / 'bag', '--every', 2, '--frames-limit', 2,
+                    '--width', 32, *hard) == 0
     stamps_ns = list(read(tmp_path / 'bag')[0])
     assert np.diff(stamps_ns) == pytest.approx(10**9 / 15, abs=2)
 
@@ -309,6 +310,7 @@ def test_command_takes_rendered_frames(tmp_path, capsys):
     (('synthetic', '--first-frame', '60'), 'too few'),
     (('synthetic', '--first-frame', '-1'), 'too few'),
     (('synthetic', '--frames-limit', '61'), 'too few'),
+    (('synthetic', '--every', '0'), 'every 0'),
     (('synthetic', '--frames', 'x', '--hard', 'blur'), '--hard'),
 ])
 def test_wrong_call_is_one_line(tmp_path, capsys, words, complaint):

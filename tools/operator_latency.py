@@ -60,17 +60,14 @@ CHROMIUM_FLAGS = (
 # The attribute is set by whoever has just drawn; observers are called before the canvas goes to
 # the display.
 PROBE = """columns => {
-    const canvas = document.getElementById('picture');
-    const scale = canvas.width / innerWidth, row = canvas.height >> 1;
-    const strip = new OffscreenCanvas(canvas.width, 1).getContext(
-        '2d', {willReadFrequently: true});
+    const canvas = document.getElementById('picture'), gl = canvas.getContext('webgl2');
     window.drawn = [];
     new MutationObserver(() => {
-        strip.drawImage(canvas, 0, row, canvas.width, 1, 0, 0, canvas.width, 1);
-        const {data} = strip.getImageData(0, 0, canvas.width, 1);
+        const {width, height} = canvas, row = new Uint8Array(4 * width);
+        gl.readPixels(0, height >> 1, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
         const time_ms = performance.timeOrigin + performance.now();
-        window.drawn.push([time_ms, canvas.dataset.stampNs,
-                           columns.map(x => data[4 * Math.round(x * scale) + 1] > 128 ? 1 : 0)]);
+        const seen = columns.map(x => row[4 * Math.round(x * width / innerWidth) + 1] > 128);
+        window.drawn.push([time_ms, canvas.dataset.stampNs, seen.map(Number)]);
     }).observe(canvas, {attributeFilter: ['data-stamp-ns']});
 }"""
 

@@ -29,7 +29,7 @@ from tqdm import tqdm
 NAME = 'simulation'
 FROM_LOGS = {'drone': flights.drone, 'pioneer': flights.pioneer, 'handheld': flights.handheld}
 SYNTHETIC = {'synthetic': flights.synthetic, 'hover': flights.hover, 'shake': flights.shake}
-PEOPLE = {'pioneer': 2, 'handheld': 4}
+PEOPLE = {'pioneer': 2, 'handheld': 4, 'hover': 2}
 HARD = {
     'plain': {},  # a property of the room
     'blur': {'exposure_s': 1 / 30},
@@ -50,6 +50,8 @@ def parser():
                         help='take the pictures from this folder instead of rendering them')
     result.add_argument('--first-frame', type=int, default=0, metavar='N',
                         help='where in the flight to start (default: %(default)s)')
+    result.add_argument('--every', type=int, default=1, metavar='N',
+                        help='take every N-th frame only (default: %(default)s)')
     result.add_argument('--frames-limit', type=int, metavar='N', help='number of frames to write')
     result.add_argument('--width', type=int, default=640, metavar='PX',
                         help='of the pictures, a multiple of 4 (default: %(default)s)')
@@ -58,7 +60,7 @@ def parser():
     result.add_argument('--seed', type=int, default=0,
                         help='of the room, noise and synthetic motion (default: %(default)s)')
     result.add_argument('--hard', action='append', choices=HARD, default=[],
-                        help='difficulty, may be repeated; blur halves 30 frames/s to 15')
+                        help='difficulty, may be repeated')
     result.add_argument('--force', action='store_true', help='replace OUT')
     return result
 
@@ -109,12 +111,11 @@ def whole_flight(args):
 
 def part(command_line, whole, args):
     """Return the part of the flight that is wanted; a part it does not have is a wrong call."""
-    every = 2 if 'blur' in args.hard and whole.frame_rate_hz > 15 else 1
     frames = args.frames_limit
     if frames is None:
-        frames = len(whole.stamps_ns[max(args.first_frame, 0)::every])
+        frames = len(whole.stamps_ns[max(args.first_frame, 0)::max(args.every, 1)])
     try:
-        return whole.cut(args.first_frame, frames, every)
+        return whole.cut(args.first_frame, frames, args.every)
     except ValueError as error:
         command_line.error(str(error))
 

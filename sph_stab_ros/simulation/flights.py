@@ -82,7 +82,7 @@ class Flight:
 
     def cut(self, first, frames, every=1):
         """Return part of the flight: `frames` of its frames, each `every`-th from `first` on."""
-        stamps_ns = self.stamps_ns[first:first + (frames - 1) * every + 1:every]
+        stamps_ns = self.stamps_ns[first:first + (frames - 1) * every + 1:max(every, 1)]
         if first < 0 or frames < 1 or every < 1 or len(stamps_ns) < frames:
             raise ValueError(f'{self.name} has {len(self.stamps_ns)} frames, too few for '
                              f'{frames} (every {every}) from {first} on')
@@ -175,7 +175,7 @@ def synthetic(seed, frames=60, frame_rate_hz=30.0, rotation_amplitude_deg=20.0,
         lambda t: middle + translation_amplitude_m * translation(t))
 
 
-def hover(seed=0, laps=10, frame_rate_hz=15.0):
+def hover(seed=0, laps=10, frame_rate_hz=30.0):
     """Hovering on a closed path of 60 s, flown `laps` times."""
     return synthetic(seed, round(60 * laps * frame_rate_hz), frame_rate_hz, 8.0, 0.3,
                      name='hover')

@@ -123,8 +123,7 @@ class _Hits:
         distance = np.minimum(distances[0], distances[1])
         axis = np.where(distances[2] < distance, 2, axis)
         distance = np.minimum(distance, distances[2])
-        every = np.arange(distance.size)
-        self._record(every, box, (lowest, highest), axis.ravel(), distance.ravel(),
+        self._record(slice(None), box, (lowest, highest), axis.ravel(), distance.ravel(),
                      rays.reshape(3, -1),
                      np.broadcast_to(origins, rays.shape).reshape(3, -1)
                      if origins.shape[1] > 1 else origins[:, :, 0])
@@ -155,11 +154,11 @@ class _Hits:
         across = np.where(axis == 0, np.where(forwards, highest[1] - y, y - lowest[1]),
                           np.where((axis == 2) | forwards, x - lowest[0], highest[0] - x))
         down = np.where(axis == 2, highest[1] - y, highest[2] - z)
-        self.distance.put(index, distance)
-        self.side.put(index, box.first_side + 2 * axis + forwards)
-        self.x_m.put(index, across)
-        self.y_m.put(index, down)
-        self.cosine.put(index, np.abs(along))
+        self.distance.reshape(-1)[index] = distance
+        self.side.reshape(-1)[index] = box.first_side + 2 * axis + forwards
+        self.x_m.reshape(-1)[index] = across
+        self.y_m.reshape(-1)[index] = down
+        self.cosine.reshape(-1)[index] = np.abs(along)
 
 
 def _may_meet(lowest, highest, rays, origins):
