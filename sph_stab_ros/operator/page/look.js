@@ -25,6 +25,7 @@ export class Look {
     this.pointers = new Map();
     this.held = new Map();
     this.pressedButtons = new Set();
+    this.ticked = 0;
     canvas.addEventListener('pointerdown', event => this.#down(event));
     canvas.addEventListener('pointermove', event => this.#move(event));
     for (const type of ['pointerup', 'pointercancel', 'lostpointercapture']) {
@@ -38,7 +39,7 @@ export class Look {
     addEventListener('keydown', event => this.#keyDown(event));
     addEventListener('keyup', event => this.#keyUp(event));
     addEventListener('blur', () => this.held.clear());
-    requestAnimationFrame(now => this.#tick(now));
+    addEventListener('gamepadconnected', () => this.#start());
   }
 
   centre() {
@@ -94,6 +95,7 @@ export class Look {
     event.preventDefault();
     if (this.held.has(key)) return;
     this.held.set(key, KEYS[key]);
+    this.#start();
     this.#turn(KEYS[key], SHORTEST_PRESS_S);
   }
 
@@ -101,14 +103,25 @@ export class Look {
     this.held.delete(key);
   }
 
+  // Turns with the display's frames while a key is held or a gamepad is there.
+  #start() {
+    if (this.ticked) return;
+    this.ticked = performance.now();
+    requestAnimationFrame(now => this.#tick(now));
+  }
+
   #tick(now) {
-    const seconds = Math.min(0.1, (now - (this.ticked ?? now)) / 1000);
+    const seconds = Math.max(0, Math.min(0.1, (now - this.ticked) / 1000));
     this.ticked = now;
     const rates = [...this.held.values(), ...this.#gamepadRates()];
     if (rates.length) {
       this.#turn([0, 1, 2].map(i => rates.reduce((sum, rate) => sum + rate[i], 0)), seconds);
     }
-    requestAnimationFrame(now => this.#tick(now));
+    if (this.held.size || gamepads().length) {
+      requestAnimationFrame(now => this.#tick(now));
+    } else {
+      this.ticked = 0;
+    }
   }
 
   #turn([left, up, closer], seconds) {
@@ -120,8 +133,7 @@ export class Look {
   // Rates by the gamepads' sticks and triggers; calls press() for buttons that went down.
   #gamepadRates() {
     const rates = [];
-    for (const pad of navigator.getGamepads()) {
-      if (!pad || pad.mapping !== 'standard') continue;
+    for (const pad of gamepads()) {
       const [x, y, x2, y2] = pad.axes.map(value => Math.abs(value) < DEAD_ZONE ? 0 : value);
       const rate = [-(x + x2), -(y + y2), pad.buttons[7].value - pad.buttons[6].value];
       if (rate.some(value => value)) rates.push(rate);
@@ -136,6 +148,12 @@ export class Look {
     }
     return rates;
   }
+}
+
+// Those whose buttons are known; some browsers give none to pages of plain http.
+function gamepads() {
+  const pads = navigator.getGamepads?.() ?? [];
+  return [...pads].filter(pad => pad?.mapping === 'standard');
 }
 
 // Whether an element has a use of its own for keys.
