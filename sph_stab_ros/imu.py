@@ -28,7 +28,7 @@ R_CAMERA_BODY = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
 # Over a longer silence of the gyro nothing is known.
 MAX_GAP_NS = NS_PER_S // 10
 # Stamps that go back further are those of a new start; others are late and left out.
-NEW_START_NS = NS_PER_S
+NEW_START_NS = NS_PER_S // 10
 HISTORY_NS = 2 * NS_PER_S
 
 
@@ -85,7 +85,7 @@ class ImuHistory:
         self._turns = deque()
 
     def clear(self):
-        """Forget everything: the IMU sits otherwise from now on."""
+        """Forget everything: the IMU sits otherwise from now on, or its clock was set back."""
         self._forces.clear()
         self._turns.clear()
 

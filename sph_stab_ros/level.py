@@ -21,6 +21,8 @@ camera does not turn, so that the mean of the specific forces over a time T is g
 recognised for that, and no gyro is needed.
 """
 
+from threading import Lock
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -142,38 +144,48 @@ class Leveler:
     The level world's orientation: of the first picture, of gravity, or as told.
 
     A level known at the first picture holds at once. One that comes or changes later is
-    approached within seconds, at no more than 10°/s, so that the picture never jumps.
+    approached within seconds, at no more than 10°/s, so that the picture never jumps. Methods may
+    be called from any thread.
     """
 
     def __init__(self):
+        self._lock = Lock()
         self.reset()
 
     def reset(self):
         """Start anew, with the next orientation as the world's."""
-        self._R_world_origin = Rotation.identity()
-        self._R_level_origin = Rotation.identity()
-        self._stamp_ns = None
-        self._R_origin_camera = None
+        with self._lock:
+            self._R_world_origin = Rotation.identity()
+            self._R_level_origin = Rotation.identity()
+            self._stamp_ns = None
+            self._R_origin_camera = None
 
     def level_here(self):
         """Make the present orientation level, but for its heading; LevelError if it has none."""
-        if self._R_origin_camera is None:
-            raise LevelError('there is no picture yet')
-        R_world_heading = heading(self._R_world_origin * self._R_origin_camera)
-        if R_world_heading is None:
-            raise LevelError('the camera looks straight up or down and has no heading to keep')
-        self._R_level_origin = R_world_heading * self._R_origin_camera.inv()
+        with self._lock:
+            if self._R_origin_camera is None:
+                raise LevelError('there is no picture yet')
+            R_world_heading = heading(self._R_world_origin * self._R_origin_camera)
+            if R_world_heading is None:
+                raise LevelError(
+                    'the camera looks straight up or down and has no heading to keep')
+            self._R_level_origin = R_world_heading * self._R_origin_camera.inv()
 
     def update(self, stamp_ns, R_origin_camera, up=None):
         """Return ``R_world_origin`` at a picture; ``up`` (3,) in the origin's frame, if known."""
-        if up is not None:
-            self._R_level_origin = level_rotation(up)
+        with self._lock:
+            if up is not None:
+                self._R_level_origin = level_rotation(up)
+            self._R_world_origin = self._approached(stamp_ns)
+            self._stamp_ns, self._R_origin_camera = stamp_ns, R_origin_camera
+            return self._R_world_origin
+
+    def _approached(self, stamp_ns):
+        """Return R_world_origin on its way to R_level_origin."""
         correction_rad = (self._R_level_origin * self._R_world_origin.inv()).as_rotvec()
         share = 1.
         if self._stamp_ns is not None:
             elapsed_s = max(0, stamp_ns - self._stamp_ns) / NS_PER_S
             share = min(1 - np.exp(-elapsed_s / APPROACH_S),
                         MAX_RATE_RAD_S * elapsed_s / max(np.linalg.norm(correction_rad), 1e-9))
-        self._R_world_origin = Rotation.from_rotvec(share * correction_rad) * self._R_world_origin
-        self._stamp_ns, self._R_origin_camera = stamp_ns, R_origin_camera
-        return self._R_world_origin
+        return Rotation.from_rotvec(share * correction_rad) * self._R_world_origin

@@ -165,8 +165,16 @@ class Stabilizer:
         """Take in an ImuSample; may be called from any thread while frames are processed."""
         self._imu_inbox.append(sample)
 
+    def forget_imu(self):
+        """Forget what was felt so far, because the clock was set back."""
+        self._imu.clear()
+
     def level_here(self):
-        """Make the present orientation level, keeping its heading, or raise LevelError."""
+        """
+        Make the present orientation level, keeping its heading, or raise LevelError.
+
+        May be called from any thread while frames are processed.
+        """
         if self.config.level == IMU:
             raise LevelError('the IMU says what is level')
         self._leveler.level_here()

@@ -16,21 +16,26 @@
 The ROS 2 node: spherical images in; orientation, stabilised images and steerable views out.
 
 Subscribes to ``image`` (sensor_msgs/Image) or ``image/compressed`` (sensor_msgs/CompressedImage),
-as ``image_transport`` says, and for each view to what steers it, see ``ros.views``.
+as ``image_transport`` says, where ``level`` is ``imu`` to ``imu`` (sensor_msgs/Imu), and for each
+view to what steers it, see ``ros.views``.
 
 Publishes ``orientation`` (geometry_msgs/QuaternionStamped, ``R_world_camera``),
 ``orientation_covariance`` (geometry_msgs/PoseWithCovarianceStamped) where the tracker knows it,
 ``stabilized/image`` and, for each of the ``views``, ``view/image``, both with ``/compressed``,
 and ``view/camera_info``, ``/tf``, all with the image's stamp and only what somebody subscribes
 to, and ``/diagnostics``. ``~/reset`` (std_srvs/Trigger) makes the next image's orientation the
-world's, ``~/look_at_home`` turns all views to the world's front.
+world's, ``~/level`` makes the present one level, ``~/look_at_home`` turns all views to the world's
+front.
 
 The executor only stores the newest image and answers services and parameters; a worker thread
-decodes, stabilises and publishes. Images that come faster than that are dropped and counted.
+decodes, stabilises and publishes. Images that come faster than that are dropped and counted. No
+lock is held meanwhile: what is asked for is left for the worker, which takes it over before its
+next image.
 """
 
+import signal
 import sys
-from threading import Lock, Thread
+from threading import Thread
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -44,10 +49,12 @@ from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import limit_blas_threads, Parser
 from sph_stab_ros.config import ConfigError, VIEW
 from sph_stab_ros.frame import Frame
+from sph_stab_ros.level import IMU, LevelError
 from sph_stab_ros.masks import MaskError
 from sph_stab_ros.recording.images import image_from_message, ImageError
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
+from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
 from sph_stab_ros.ros.outputs import Outputs
@@ -71,18 +78,19 @@ class StabilizerNode(Node):
         config = self._settings.config
         self._stabilizer = Stabilizer(config)
         self._last_stamp_ns = 0
-        # Held while a frame is processed and published: a change is in effect once it is
-        # acknowledged.
-        self._lock = Lock()
+        self._reset_wanted = False
 
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(),
                                         self.get_logger().warning)
         self._outputs = Outputs(
             self, self._settings, ThrottledLog(self.get_logger().warning), self._diagnostics.cpu)
         self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(Trigger, '~/level', self._on_level)
         self.create_service(Trigger, '~/look_at_home', self._on_look_at_home)
         self._inbox = OneSlotMailbox()
         images = subscribe_to_images(self, 'image', config.image_transport, self._on_image)
+        self._imu = ImuInput(self, self._stabilizer.add_imu, self._diagnostics)
+        self._imu.listen(config.level == IMU)
 
         self._diagnostics_publisher = advertise(self, DiagnosticArray, '/diagnostics', depth=10)
         # By the steady clock: a heartbeat goes on when simulated time stands still.
@@ -91,9 +99,11 @@ class StabilizerNode(Node):
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self._worker = Thread(target=self._work, name='worker')
+        # A file of all defaults describes the view that there is by default, and the IMU may be
+        # listened to later.
+        later = f'{VIEW}.', f"qos_overrides.{self.resolve_topic_name('imu')}."
         for name in undeclared_overrides(self):
-            # A file of all defaults describes the view that there is by default.
-            if not name.startswith(f'{VIEW}.'):
+            if not name.startswith(later):
                 self.get_logger().warning(f"there is no parameter '{name}'")
         self.get_logger().info(f'waiting for images on {images.topic_name}')
 
@@ -118,11 +128,20 @@ class StabilizerNode(Node):
         self._inbox.put((msg, monotonic()))
 
     def _on_reset(self, request, response):
-        with self._lock:
-            self._stabilizer.reset()
+        self._reset_wanted = True
         self.get_logger().info('reset: the next image defines the stabilized frame')
         return Trigger.Response(
             success=True, message='the next image defines the stabilized frame')
+
+    def _on_level(self, request, response):
+        try:
+            if self._reset_wanted:
+                raise LevelError('there is no picture since the reset yet')
+            self._stabilizer.level_here()
+        except LevelError as error:
+            return Trigger.Response(success=False, message=str(error))
+        return Trigger.Response(
+            success=True, message='the present orientation becomes level')
 
     def _on_look_at_home(self, request, response):
         self._outputs.look_home()
@@ -138,10 +157,9 @@ class StabilizerNode(Node):
 
     def _apply_parameters(self, parameters):
         """Take over what was accepted, after rclpy's own checks and those of others."""
-        with self._lock:
-            self._settings = self._accepted_settings
-            self._stabilizer.reconfigure(self._settings.config)
-            self._outputs.reconfigure(self._settings, {one.name for one in parameters})
+        self._settings = self._accepted_settings
+        self._outputs.reconfigure(self._settings, {one.name for one in parameters})
+        self._imu.listen(self._settings.config.level == IMU)
 
     def _publish_diagnostics(self):
         self._diagnostics_publisher.publish(DiagnosticArray(
@@ -168,13 +186,20 @@ class StabilizerNode(Node):
         with cpu.stage('decode'):
             frame = Frame(
                 image_from_message(msg), stamp_ns(msg.header.stamp), msg.header.frame_id)
-        with self._lock:
-            with cpu.stage('track'):
-                self._start_anew_where_time_went_back(frame.stamp_ns)
-                stabilized = self._stabilizer.process(frame)
-            self._outputs.publish(stabilized, msg.header)
-            tracker = self._stabilizer.tracker
-        self._diagnostics.count_frame(stabilized, monotonic() - received_s, tracker)
+        with cpu.stage('track'):
+            self._take_over_what_is_wanted()
+            self._start_anew_where_time_went_back(frame.stamp_ns)
+            stabilized = self._stabilizer.process(frame)
+        self._outputs.publish(stabilized, msg.header)
+        self._diagnostics.count_frame(stabilized, monotonic() - received_s,
+                                      self._stabilizer.tracker)
+
+    def _take_over_what_is_wanted(self):
+        if self._reset_wanted:
+            self._stabilizer.reset()
+            # Only now: until then there is nothing that ~/level could mean.
+            self._reset_wanted = False
+        self._stabilizer.reconfigure(self._settings.config)
 
     def _start_anew_where_time_went_back(self, time_ns):
         """Reset before an image from the past: a bag begins again, a simulation was reset."""
@@ -182,6 +207,7 @@ class StabilizerNode(Node):
         self._last_stamp_ns = time_ns
         if back_s > MAX_JITTER_S:
             self._stabilizer.reset()
+            self._stabilizer.forget_imu()
             self._diagnostics.notice('time_went_back', f'the stamps went back by {back_s:.3f} s, '
                                      'reset: this image defines the stabilized frame')
 
@@ -194,6 +220,9 @@ def main(args=None):
         epilog='config/stabilizer.yaml describes all parameters, as does ros2 param describe.')
     try:
         parser.parse_args(remove_ros_args(args)[1:])
+        # rclpy's handler ends it; a KeyboardInterrupt on top could come at any time, the second
+        # one while the node is destroyed.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         rclpy.init(args=args)
     except RuntimeError as error:
         print(f'stabilizer: cannot start: {error}', file=sys.stderr)
@@ -204,7 +233,7 @@ def main(args=None):
         node = StabilizerNode()
         node.start()
         rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     except (ConfigError, MaskError, ParameterException, RuntimeError) as error:
         # A signal shuts rclpy down at any time; its calls then fail with a RuntimeError.

@@ -36,7 +36,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from sph_stab_ros.equirect import bearing_grid
 from sph_stab_ros.recording.images import fill_compressed, fill_image
 from std_srvs.srv import Trigger
@@ -82,7 +82,9 @@ class Peer:
         self._executor.add_node(self._node)
         self._parameters = AsyncParameterClient(self._node, 'stabilizer')
         self._reset = self._node.create_client(Trigger, 'stabilizer/reset')
+        self._level = self._node.create_client(Trigger, 'stabilizer/level')
         self._home = self._node.create_client(Trigger, 'stabilizer/look_at_home')
+        self._imu = self._node.create_publisher(Imu, 'imu', 100)
         self._clock = self._node.create_publisher(Clock, '/clock', 10)
         self._directions = {view: self._node.create_publisher(
             QuaternionStamped, f'{view}/direction', 10) for view in views}
@@ -96,6 +98,7 @@ class Peer:
         self.wait_until(self._images.get_subscription_count)
         self.wait_until(self._parameters.services_are_ready)
         self.wait_until(self._reset.service_is_ready)
+        self.wait_until(self._level.service_is_ready)
         self.wait_until(self._home.service_is_ready)
         for publisher in (*self._directions.values(), *self._velocities.values()):
             self.wait_until(publisher.get_subscription_count)
@@ -182,6 +185,18 @@ class Peer:
             Vector3(**dict(zip('xyz', map(float, xyz)))) for xyz in (linear, angular))
         self._velocities[view].publish(Twist(linear=linear, angular=angular))
 
+    def feel(self, *samples, **fields):
+        """Publish ImuSamples, the messages with these fields, to a node that listens."""
+        self.wait_until(self._imu.get_subscription_count)
+        for sample in samples:
+            msg = Imu(**fields)
+            msg.header.stamp = Time(nanoseconds=int(sample.stamp_ns)).to_msg()
+            for vector, values in ((msg.linear_acceleration, sample.specific_force_m_s2),
+                                   (msg.angular_velocity, sample.angular_velocity_rad_s)):
+                if values is not None:
+                    vector.x, vector.y, vector.z = map(float, values)
+            self._imu.publish(msg)
+
     def tell_time(self, time_ns):
         """Publish a simulated time."""
         self._clock.publish(Clock(clock=Time(nanoseconds=int(time_ns)).to_msg()))
@@ -189,6 +204,10 @@ class Peer:
     def look_at_home(self):
         """Call ~/look_at_home."""
         return self._call(self._home.call_async(Trigger.Request()))
+
+    def level(self):
+        """Call ~/level."""
+        return self._call(self._level.call_async(Trigger.Request()))
 
     def reset(self):
         """Call ~/reset."""

@@ -17,6 +17,7 @@
 from itertools import islice
 from pathlib import Path
 import signal
+import time
 
 import cv2
 import numpy as np
@@ -163,6 +164,23 @@ def test_signals_end_it_with_frames_in_flight(tmp_path, signal_number):
             peer.send(image, sent_ns)
         peer.process.send_signal(signal_number)
         peer.process.wait(30)
+    assert process_ended_well(peer)
+
+
+def test_pressing_ctrl_c_again_and_again_ends_it_as_well(tmp_path):
+    """As ros2 launch does after the terminal did, while the worker has a frame to finish."""
+    image = textured_sphere(1024)
+    slow = '-p', 'estimator:=pts_epipolar', '-p', 'working_width:=1024'
+    with stabilizer(tmp_path, *slow) as peer:
+        for sent_ns in stamps_of(3):
+            peer.send(image, sent_ns)
+            peer.spin_for(0.05)
+        presses = 0
+        while peer.process.poll() is None:
+            peer.process.send_signal(signal.SIGINT)
+            presses += 1
+            time.sleep(0.005)
+    assert presses > 2
     assert process_ended_well(peer)
 
 

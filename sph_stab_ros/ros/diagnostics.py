@@ -23,6 +23,7 @@ import numpy as np
 
 from sph_stab_ros.masks import share_of_sphere
 from sph_stab_ros.ros.cpu_meter import CpuMeter
+from sph_stab_ros.stabilization import Notice
 from sph_stab_ros.trackers import TrackingStatus
 
 LOG_PERIOD_S = 5.0
@@ -32,7 +33,8 @@ class Diagnostics:
     """
     Counts frames, refused images and notices; its methods may be called from any thread.
 
-    ``cpu`` is the CpuMeter of the stages that a frame goes through.
+    ``cpu`` is the CpuMeter of the stages that a frame goes through; ``listens_to_imu`` says
+    whether samples of an IMU are expected.
 
     Parameters
     ----------
@@ -45,14 +47,17 @@ class Diagnostics:
 
     def __init__(self, name, warn):
         self.cpu = CpuMeter()
+        self.listens_to_imu = False
         self._name = name
         self._log = ThrottledLog(warn)
         self._lock = Lock()
         self._frames = 0
+        self._imu_refused = 0
         self._refused = Counter()
         self._notices = Counter()
         self._tracking = Counter()
         self._status = None
+        self._gravity_is_known = True
         self._uncertainty_rad = self._keyframes = self._still_pixels = None
         self._start_period()
 
@@ -61,6 +66,7 @@ class Diagnostics:
         with self._lock:
             self._frames += 1
             self._status = stabilized.status
+            self._gravity_is_known = Notice.NO_GRAVITY not in stabilized.notices
             self._tracking[stabilized.status] += 1
             self._latencies_s.append(latency_s)
             self._uncertainty_rad = stabilized.uncertainty_rad
@@ -84,6 +90,17 @@ class Diagnostics:
             self._last_refusal = reason
         self._log.warn(reason, f'image refused, {detail}')
 
+    def count_imu(self):
+        """Count a sample of the IMU."""
+        with self._lock:
+            self._imu_samples += 1
+
+    def refuse_imu(self, error):
+        """Count a message of the IMU's that cannot be used."""
+        with self._lock:
+            self._imu_refused += 1
+        self._log.warn('imu', f'imu ignored: {error}')
+
     def status(self, dropped):
         """Return the DiagnosticStatus of the time since the last call."""
         with self._lock:
@@ -100,6 +117,7 @@ class Diagnostics:
                 'dropped': dropped,
                 'refused': sum(self._refused.values()),
                 **{f'refused: {reason}': n for reason, n in sorted(self._refused.items())},
+                **self._of_imu(elapsed_s),
                 **{f'notice: {name}': n for name, n in sorted(self._notices.items())},
             }
             values.update({f'cpu_percent: {stage}': f'{percent:.1f}'
@@ -120,8 +138,13 @@ class Diagnostics:
             values['still_percent'] = f'{100 * share_of_sphere(self._still_pixels):.1f}'
         return values
 
+    def _of_imu(self, elapsed_s):
+        return {'imu_rate_hz': f'{self._imu_samples / elapsed_s:.1f}',
+                'imu_refused': self._imu_refused} if self.listens_to_imu else {}
+
     def _start_period(self):
         self._period_start_s = monotonic()
+        self._imu_samples = 0
         self._latencies_s = []
         self._last_refusal = None
 
@@ -133,6 +156,8 @@ class Diagnostics:
             return DiagnosticStatus.WARN, 'no images'
         if self._status is not TrackingStatus.OK:
             return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'
+        if not self._gravity_is_known:
+            return DiagnosticStatus.WARN, Notice.NO_GRAVITY.value
         return DiagnosticStatus.OK, 'ok'
 
 

@@ -1,0 +1,86 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The IMU's messages on the way to the stabiliser, as REP 145 has them."""
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu
+from sph_stab_ros.imu import ImuError, ImuSample
+from sph_stab_ros.ros.image_topics import subscribe
+from sph_stab_ros.ros.messages import stamp_ns
+
+# What comes while the executor is busy otherwise.
+DEPTH = 100
+# In the first element of a covariance.
+NOT_MEASURED = -1.
+
+
+class ImuInput:
+    """
+    Subscribes to ``imu`` (sensor_msgs/Imu) while it is listened to, as sensor data.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+    take : callable
+        Takes each ImuSample.
+    diagnostics : Diagnostics
+        Counts the samples, and those that are none.
+
+    """
+
+    def __init__(self, node, take, diagnostics):
+        self._node = node
+        self._take = take
+        self._diagnostics = diagnostics
+        self._subscription = None
+        self._listening = False
+
+    def listen(self, wanted):
+        """Listen from now on, or do not."""
+        if wanted == self._listening:
+            return
+        # Before what follows, which declares parameters, of which the node is told.
+        self._listening = self._diagnostics.listens_to_imu = wanted
+        if wanted:
+            self._subscription = subscribe(
+                self._node, Imu, 'imu', self._on_imu,
+                QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+        else:
+            self._node.destroy_subscription(self._subscription)
+
+    def _on_imu(self, msg):
+        try:
+            sample = imu_sample(msg, self._node.get_clock().now().nanoseconds)
+        except ImuError as error:
+            self._diagnostics.refuse_imu(error)
+        else:
+            self._diagnostics.count_imu()
+            self._take(sample)
+
+
+def imu_sample(msg, received_ns):
+    """Return the ImuSample of an Imu; one without a stamp is of when it was received."""
+    force, rate = msg.linear_acceleration, msg.angular_velocity
+    if msg.linear_acceleration_covariance[0] == NOT_MEASURED:
+        force = None
+    if msg.angular_velocity_covariance[0] == NOT_MEASURED:
+        rate = None
+    if force is rate is None:
+        raise ImuError('by its covariances it measures neither force nor angular velocity')
+    return ImuSample(stamp_ns(msg.header.stamp) or received_ns, _xyz(force), _xyz(rate))
+
+
+def _xyz(vector):
+    return None if vector is None else (vector.x, vector.y, vector.z)
