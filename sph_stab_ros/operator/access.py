@@ -15,17 +15,19 @@
 """Who may talk to the server: by token, by the page that they come from, a few at a time."""
 
 from ipaddress import ip_address
+from logging import LoggerAdapter
 import secrets
 from time import monotonic
 from urllib.parse import urlsplit
 
 from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
 
 TOKEN_BYTES = 16
 # Five browsers open a handful of connections each while the page loads.
 MAX_CONNECTIONS = 64
-# A connection that has not asked for anything by then is closed.
-FIRST_REQUEST_S = 5.0
+# A connection that has not become a socket's by then is closed: files take no time.
+PATIENCE_S = 5.0
 
 
 class Access:
@@ -50,8 +52,8 @@ class Access:
 
     def check_page(self, request):
         """Raise HTTPForbidden unless the request may have the page."""
-        if self._local_only and not is_loopback(urlsplit(f'//{request.host}').hostname or ''):
-            raise web.HTTPForbidden(text=f"'{request.host}' is no name of this machine's own.\n")
+        if self._local_only and not is_loopback(name_of(request.host)):
+            raise web.HTTPForbidden(text=f"{request.host!r} is no name of this machine's own.\n")
         if self.token and not secrets.compare_digest(
                 request.query.get('token', '').encode(), self.token.encode()):
             raise web.HTTPForbidden(
@@ -62,36 +64,59 @@ class Access:
         """Raise HTTPForbidden unless a WebSocket is asked for by our own page."""
         self.check_page(request)
         origin = request.headers.get('Origin', '')
-        if urlsplit(origin).netloc != request.host:
-            raise web.HTTPForbidden(text=f"the page of '{origin}' is none of this server's\n")
+        if origin not in (f'http://{request.host}', f'https://{request.host}'):
+            raise web.HTTPForbidden(text=f"the page of {origin!r} is none of this server's\n")
 
 
 class ConnectionGuard:
-    """Closes connections that ask for nothing, and those that are too many."""
+    """Closes connections that do not become sockets, and those that are too many."""
 
     def __init__(self, clock=monotonic):
         self._clock = clock
-        # connection -> when it was first seen to be waiting.
+        # connection -> when it was first seen.
         self._waiting_s = {}
-        self._asked = set()
+        self._sockets = set()
 
-    def note(self, request):
-        """Note that a connection has asked for something."""
-        self._asked.add(request.protocol)
+    def let_stay(self, request):
+        """Let the connection of a request be, which becomes a socket's."""
+        self._sockets.add(request.protocol)
 
     def close_idle(self, connections):
         """Close the RequestHandlers of an aiohttp server that are in the way; return how many."""
         now_s = self._clock()
-        self._asked.intersection_update(connections)
+        self._sockets.intersection_update(connections)
         self._waiting_s = {one: self._waiting_s.get(one, now_s)
-                           for one in connections if one not in self._asked}
+                           for one in connections if one not in self._sockets}
         excess = max(0, len(connections) - MAX_CONNECTIONS)
         oldest_first = sorted(self._waiting_s, key=self._waiting_s.get)
         closed = [one for n, one in enumerate(oldest_first)
-                  if n < excess or self._waiting_s[one] <= now_s - FIRST_REQUEST_S]
+                  if n < excess or self._waiting_s[one] <= now_s - PATIENCE_S]
         for one in closed:
             one.force_close()
         return len(closed)
+
+
+class ServerLog(LoggerAdapter):
+    """The log of an aiohttp server, which takes what is no HTTP for an error with traceback."""
+
+    def __init__(self, logger, warn):
+        super().__init__(logger, {})
+        self._warn = warn
+
+    def exception(self, msg, *args, exc_info=True, **kwargs):
+        """Log an error; in one line if it is the other end's."""
+        if isinstance(exc_info, HttpProcessingError):
+            self._warn('no HTTP', f'a request refused: {exc_info.message.splitlines()[0]}')
+        else:
+            super().exception(msg, *args, exc_info=exc_info, **kwargs)
+
+
+def name_of(host):
+    """Return the name in a host of a request, without the port; '' where it is none."""
+    try:
+        return urlsplit(f'//{host}').hostname or ''
+    except ValueError:
+        return ''
 
 
 def is_loopback(host):

@@ -18,19 +18,20 @@ import asyncio
 from contextlib import suppress
 from dataclasses import asdict
 from importlib import resources
+import logging
 from mimetypes import guess_type
 from weakref import WeakSet
 
 from aiohttp import web, WSCloseCode, WSMsgType
 
-from sph_stab_ros.operator.access import ConnectionGuard
+from sph_stab_ros.operator.access import ConnectionGuard, ServerLog
 from sph_stab_ros.operator.client import Client
 from sph_stab_ros.operator.protocol import (
     Drawn, Level, Look, MAX_MESSAGE_BYTES, parse_command, ProtocolError, ResetHeading, SetMode,
     TakeControl, text_message)
 
 MAX_CLIENTS = 5
-STATE_PERIOD_S = 0.5
+STATE_PERIOD_S = 0.2
 # A browser that does not answer in this time is gone.
 HEARTBEAT_S = 5.0
 # One that is told to go need not answer.
@@ -94,7 +95,8 @@ class OperatorServer:
         app.on_response_prepare.append(self._add_headers)
         app.on_shutdown.append(self._close_all)
         # Its log of requests would show the token.
-        runner = web.AppRunner(app, access_log=None, shutdown_timeout=CLOSING_S)
+        runner = web.AppRunner(app, access_log=None, shutdown_timeout=CLOSING_S,
+                               logger=ServerLog(logging.getLogger(__name__), self._warn))
         await runner.setup()
         await web.TCPSite(runner, host, port).start()
         self._run(self._tell_state(runner.server))
@@ -116,40 +118,38 @@ class OperatorServer:
     # Requests.
 
     async def _get_page(self, request):
-        self._guard.note(request)
-        try:
-            self._access.check_page(request)
-        except web.HTTPForbidden as refusal:
-            self._warn('forbidden', f'{request.remote} refused: {refusal.text.strip()}')
-            raise
+        self._check(self._access.check_page, request)
         return self._file(PAGE)
 
     async def _get_file(self, request):
-        self._guard.note(request)
         return self._file(request.match_info['name'])
+
+    def _check(self, check, request):
+        """Let a check raise HTTPForbidden, with a line in the log."""
+        try:
+            check(request)
+        except web.HTTPForbidden as refusal:
+            self._warn('forbidden', f'{request.remote} refused: {refusal.text.strip()}')
+            raise
 
     def _file(self, name):
         if name not in self._files:
             raise web.HTTPNotFound
         body, content_type = self._files[name]
-        response = web.Response(body=body, content_type=content_type, charset='utf-8')
-        # A connection that is kept open would be one that nobody can tell from an idle one.
-        response.force_close()
-        return response
+        return web.Response(body=body, content_type=content_type, charset='utf-8')
 
     async def _add_headers(self, request, response):
         # Whoever sends a strange host gets a policy that names none.
         host = request.host if all(c.isalnum() or c in '.:-[]' for c in request.host) else ''
         for name, value in HEADERS.items():
             response.headers[name] = value.format(host=host)
+        if not isinstance(response, web.WebSocketResponse):
+            # Kept open, nobody could tell it from an idle one.
+            response.force_close()
 
     async def _get_socket(self, request):
-        self._guard.note(request)
-        try:
-            self._access.check_socket(request)
-        except web.HTTPForbidden as refusal:
-            self._warn('forbidden', f'{request.remote} refused: {refusal.text.strip()}')
-            raise
+        self._check(self._access.check_socket, request)
+        self._guard.let_stay(request)
         socket = web.WebSocketResponse(
             heartbeat=HEARTBEAT_S, max_msg_size=MAX_MESSAGE_BYTES,
             compress=False)
@@ -261,7 +261,7 @@ class OperatorServer:
         while True:
             self._tell_all()
             if closed := self._guard.close_idle(server.connections):
-                self._warn('idle', f'{closed} connections closed that asked for nothing')
+                self._warn('idle', f'{closed} connections closed that led to nothing')
             await asyncio.sleep(STATE_PERIOD_S)
 
     async def _close_all(self, app):
