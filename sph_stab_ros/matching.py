@@ -24,7 +24,8 @@ from sph_stab_ros.estimators.base import BearingPairs
 
 # A-KAZE describes a feature by up to 40 px around it.
 PADDING_PX = 40
-DETECTOR_THRESHOLD = 3e-4
+# A tenth of OpenCV's: where little can be seen, many weak features hold a fit better than few.
+DETECTOR_THRESHOLD = 1e-4
 MAX_FEATURES = 2000
 # A match must be this much nearer than the second best (Lowe's ratio test).
 MAX_DISTANCE_RATIO = 0.8

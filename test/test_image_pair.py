@@ -135,14 +135,22 @@ def test_real_photos_turned_have_no_parallax(shared_data, rotation_deg):
         assert angle_deg(found.R_current_previous, start.R_current_previous) < 1e-6
 
 
+# The two cameras of each pair were not quite parallel. Rotation vectors from one to the other, in
+# degrees, as A-KAZE matches at 480 to 1024 columns tell alike, to 0.05°.
+STEREO_DEG = {'hall': (-0.03, 0.08, 0.03), 'room': (-0.01, 0.01, -0.05), 'stairs': (0, 0.3, 0)}
+
+
 @every_method
-@pytest.mark.parametrize('scene', ('hall', 'room', 'stairs'))
+@pytest.mark.parametrize('scene', STEREO_DEG)
 def test_real_stereo_pairs_turned_are_recovered(shared_data, method, scene):
     """
     Two pictures 20 cm apart, one turned: the rotation comes back, whatever the baseline.
 
-    Worst is ``moment`` in the room, by 0.45° when the flow has settled.
+    Worst is ``moment`` in the room, by 0.42° when the flow has settled, ± 0.02° with noise of one
+    grey level; ``pts`` on the stairs, with the fewest features, is off by 0.12 ± 0.06°, by 0.39° at
+    worst of 120 times.
     """
+    R_up_down = Rotation.from_rotvec(STEREO_DEG[scene], degrees=True)
     rng = np.random.default_rng(0)
     folder = shared_data / 'stereo_pairs' / 'realworld'
     down, up = (cv2.imread(str(folder / f'image_{side}' / f'{scene}.png'), cv2.IMREAD_GRAYSCALE)
@@ -150,4 +158,4 @@ def test_real_stereo_pairs_turned_are_recovered(shared_data, method, scene):
     for rotation_deg in (1., 3., 5.):
         R = random_rotation(rng, rotation_deg)
         found = estimate(method, reduced(down), reduced(turned_pair(up, R)[1]), flow_updates=3)
-        assert angle_deg(found.R_current_previous, R) < 0.5
+        assert angle_deg(found.R_current_previous, R * R_up_down) < 0.5
