@@ -101,7 +101,7 @@ bags: setup  ## Write the recordings in bags anew from pictures in FRAMES
 
 HARD_DRONE := --logs '$(LOGS)' --every 2
 HARD_PHOTOREAL := --samples 4 --exposure-s 0.03 --rolling-shutter-s 0.02 --stitch-deg 0.5 \
-    --exposure-steps-ev 0.6
+    --exposure-steps-ev 0.6 --people 2
 HARD_QUICK := --hard blur --hard rolling --hard stitch --hard exposure
 hard_pictures = $(if $(wildcard $(FRAMES)/$(1)),--frames '$(FRAMES)/$(1)',$(HARD_QUICK) $(2))
 

@@ -29,7 +29,7 @@ import bpy
 import camera
 import cv2
 import numpy as np
-from scene import SCENES
+from scene import SCENES, walkers
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FLIGHTS = {'drone': 'laboratory', 'pioneer': 'lobby', 'handheld': 'office',
@@ -53,6 +53,8 @@ def arguments():
     parser.add_argument('--exposure-s', type=float, default=1 / 90)
     hard = parser.add_argument_group('hard variants')
     hard.add_argument('--bare', action='store_true', help='plain walls, no furniture')
+    hard.add_argument('--people', type=int, default=0, help='walking around, besides those of '
+                      'the room (up to 2)')
     hard.add_argument('--rolling-shutter-s', type=float, default=0.0,
                       help='delay of the last row after the first; the stamp is the mean time')
     hard.add_argument('--stitch-deg', type=float, default=0.0,
@@ -64,6 +66,8 @@ def arguments():
         parser.error(f'{options.flight} needs --logs')
     if options.width < 16 or options.width % 2:
         parser.error('--width must be even and at least 16')
+    if not 0 <= options.people <= 2:
+        parser.error('--people must be within 0 and 2')
     if min(options.samples, options.every) < 1 or options.first < 0 or options.exposure_s <= 0:
         parser.error('--samples, --every, --first and --exposure-s must be positive')
     return options
@@ -106,6 +110,7 @@ def main():
     span_s = options.exposure_s + options.rolling_shutter_s
     eye = camera.setup(options.width, options.samples, options.rolling_shutter_s / span_s)
     movers = SCENES[FLIGHTS[options.flight]](flight, options.bare)
+    movers += walkers(flight, options.people)
     movers.append(camera.follow(eye, flight))
     view = bpy.context.scene.view_settings
     view.view_transform, view.look = 'AgX', 'AgX - Medium High Contrast'

@@ -118,4 +118,12 @@ def office(flight, bare=False):
     return people + movers.operator(flight) + movers.carried(flight, movers.hand)
 
 
+def walkers(flight, number):
+    """Make up to two people who walk around in the laboratory; return the movers."""
+    walks = [movers.ellipse_walk(flight, (0.2, 0.0), (2.6, 1.7), 1.1),
+             movers.ellipse_walk(flight, (0.2, 0.0), (2.9, 1.5), -0.8)]
+    return [mover for look, walk in enumerate(walks[:number], start=1)
+            for mover in movers.person(look, walk)]
+
+
 SCENES = {'laboratory': laboratory, 'lobby': lobby, 'office': office}
