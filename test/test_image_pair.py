@@ -147,8 +147,8 @@ def test_real_stereo_pairs_turned_are_recovered(shared_data, method, scene):
     Two pictures 20 cm apart, one turned: the rotation comes back, whatever the baseline.
 
     Worst is ``moment`` in the room, by 0.42° when the flow has settled, ± 0.02° with noise of one
-    grey level; ``pts`` on the stairs, with the fewest features, is off by 0.12 ± 0.06°, by 0.39° at
-    worst of 120 times.
+    grey level; ``pts`` on the stairs, with the fewest features, is off by 0.12 ± 0.06°, by 0.39°
+    at worst of 120 times.
     """
     R_up_down = Rotation.from_rotvec(STEREO_DEG[scene], degrees=True)
     rng = np.random.default_rng(0)
