@@ -135,9 +135,9 @@ class Robot:
             msg.header.frame_id = 'camera'
             self._images.publish(msg)
 
-    def turn(self, yaw_deg):
+    def turn(self, yaw_deg, roll_deg=0):
         """Turn the camera to the left of where it looked first; return the stamp then, in ns."""
-        R_world_camera = view_rotation(np.deg2rad(yaw_deg))
+        R_world_camera = view_rotation(np.deg2rad(yaw_deg), 0, np.deg2rad(roll_deg))
         self.film(rotate_equirect(self._world, R_world_camera))
         return self._stamp_ns
 

@@ -15,6 +15,7 @@
 """The operator's server with a real node and a camera of raw images, seen by a bare WebSocket."""
 
 import asyncio
+from contextlib import asynccontextmanager
 import json
 import os
 import re
@@ -23,6 +24,7 @@ import socket
 from struct import unpack_from
 import subprocess
 import sys
+from time import monotonic
 
 import cv2
 import numpy as np
@@ -36,6 +38,7 @@ aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from node_harness import DOMAINS, pixels, rotation, stabilizer, stamp_ns  # noqa: E402, I100
 
 TIMEOUT_S = 30.
+RESEND_S = 0.5
 
 
 def operator(*arguments, domain=None):
@@ -46,25 +49,25 @@ def operator(*arguments, domain=None):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
+@asynccontextmanager
+async def connection(url):
+    """Open a WebSocket as the page does."""
+    async with aiohttp.ClientSession() as session, session.ws_connect(
+            url + 'socket', headers={'Origin': url.rstrip('/')}) as browser:
+        yield browser
+
+
 def received_pictures(url, count, send):
     """
     Return the headers and files of ``count`` pictures.
 
-    Pictures are sent, by ``send()``, one whenever the last one is there.
+    Pictures are sent, by ``send()``, one whenever the last one is there, or did not come: the
+    server may not have subscribed yet.
     """
     async def receive():
-        pictures = []
-        async with aiohttp.ClientSession() as session, session.ws_connect(
-                url + 'socket', headers={'Origin': url.rstrip('/')}) as browser:
-            await browser.receive()
-            send()
-            while len(pictures) < count:
-                try:
-                    message = await asyncio.wait_for(browser.receive(), 0.5)
-                except asyncio.TimeoutError:
-                    # The server had not yet subscribed.
-                    send()
-                    continue
+        pictures, sent_s = [], 0.
+        async with connection(url) as browser:
+            async for message in browser:
                 if message.type is aiohttp.WSMsgType.BINARY:
                     length, = unpack_from('<I', message.data)
                     header = json.loads(message.data[4:4 + length])
@@ -72,8 +75,14 @@ def received_pictures(url, count, send):
                         {'type': 'drawn', 'sequence': header['sequence']}))
                     if header['orientation']:
                         pictures.append((header, message.data[4 + length:]))
-                    send()
-        return pictures
+                    if len(pictures) == count:
+                        return pictures
+                elif monotonic() < sent_s + RESEND_S:
+                    # A state; they come all the time.
+                    continue
+                send()
+                sent_s = monotonic()
+
     return asyncio.run(asyncio.wait_for(receive(), TIMEOUT_S))
 
 
@@ -122,6 +131,30 @@ def test_pictures_and_orientations_belong_together(robot, pictures):
         image = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_COLOR)
         assert np.mean(cv2.absdiff(image, expected)) < 5
     assert len({header['stamp_ns'] for header, _ in got}) == len(got)
+
+
+def test_the_stabilizer_s_refusal_is_told(tmp_path):
+    domain = next(DOMAINS)
+    with stabilizer(tmp_path, domain=domain):
+        server = operator('--port', '0', domain=domain)
+        try:
+            url = server.stdout.readline().split()[-1]
+            notice = asyncio.run(asyncio.wait_for(answer_to(url, 'level'), TIMEOUT_S))
+        finally:
+            server.send_signal(signal.SIGINT)
+            assert server.wait(TIMEOUT_S) == 0
+    assert notice == {'type': 'notice', 'text': 'There is no picture yet.', 'ok': False}
+
+
+async def answer_to(url, command):
+    """Return the notice that answers a command, once the robot can take it."""
+    async with connection(url) as browser:
+        async for message in browser:
+            values = json.loads(message.data)
+            if values['type'] == 'notice':
+                return values
+            if values['robot'][f'can_{command}']:
+                await browser.send_str(json.dumps({'type': command}))
 
 
 def test_the_port_is_taken():

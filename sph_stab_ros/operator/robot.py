@@ -165,9 +165,8 @@ class Robot(Node):
         return 'Heading reset: ahead is where the robot looks now.'
 
     async def level(self):
-        """Level the horizon; return what to tell the operator."""
-        await self._call(self._level)
-        return 'The horizon is level.'
+        """Level the horizon; return the stabilizer's answer."""
+        return await self._call(self._level)
 
     async def set_mode(self, mode):
         """Change how the view follows the robot; return what to tell the operator."""
@@ -176,17 +175,18 @@ class Robot(Node):
         answer = await self._answer(
             self._node_parameters.set_parameters([Parameter(MODE, value=mode)]))
         if not (answer.results and answer.results[0].successful):
-            raise RobotError(answer.results[0].reason if answer.results else 'Refused.')
+            raise RobotError(sentence(answer.results[0].reason if answer.results else 'refused'))
         self._smooth(mode, self._smoothing.time_constant_s)
         return f"Mode: {mode.replace('_', ' ')}."
 
     async def _call(self, client):
-        """Call a Trigger service."""
+        """Call a Trigger service; return its answer, or raise it as RobotError."""
         if not client.service_is_ready():
             raise RobotError('The stabilizer does not offer that.')
         answer = await self._answer(client.call_async(Trigger.Request()))
         if not answer.success:
-            raise RobotError(answer.message or 'The stabilizer refused.')
+            raise RobotError(sentence(answer.message or 'the stabilizer refused'))
+        return sentence(answer.message or 'done')
 
     async def _answer(self, future):
         """Wait for an rclpy future in the event loop; return its result."""
@@ -280,3 +280,8 @@ class Robot(Node):
             else:
                 self._pairing.add_picture(Picture(
                     stamp_ns(msg.header.stamp), data, received_s, derotated=self._derotated))
+
+
+def sentence(text):
+    """Return a text with a capital and a full stop."""
+    return text[:1].upper() + text[1:].rstrip('.') + '.'

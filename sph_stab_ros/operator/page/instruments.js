@@ -7,7 +7,7 @@ import {wrapped} from './rotation.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const PX_PER_DEG = 3.6, TAPE_HEIGHT = 40, TICK_DEG = 10;
-const DIAL_PX_PER_DEG = 1.1, DIAL_RADIUS = 54;
+const DIAL_PX_PER_DEG = 0.8, DIAL_RADIUS = 54, MAX_PITCH_DEG = 40;
 
 function element(name, attributes, parent, text = '') {
   const made = document.createElementNS(SVG, name);
@@ -16,8 +16,10 @@ function element(name, attributes, parent, text = '') {
   return parent.appendChild(made);
 }
 
-const signed = degrees => `${Math.round(degrees) > 0 ? '+' : Math.round(degrees) < 0 ? '−' : ''}` +
-  `${Math.abs(Math.round(degrees))}°`;
+function signed(degrees) {
+  const whole = Math.round(degrees);
+  return `${whole > 0 ? '+' : whole < 0 ? '−' : ''}${Math.abs(whole)}°`;
+}
 
 // Where the view looks, and where the robot does: degrees to the right of the world's ahead.
 export class HeadingTape {
@@ -104,9 +106,10 @@ export class AttitudeDial {
   }
 
   show(roll, pitch) {
-    const up = Math.max(-40, Math.min(40, pitch)) * DIAL_PX_PER_DEG;
-    this.body.setAttribute('transform', `translate(0 ${-up.toFixed(1)}) rotate(${roll.toFixed(1)})`);
-    this.pointer.setAttribute('transform', `rotate(${roll.toFixed(1)})`);
+    const up = Math.max(-MAX_PITCH_DEG, Math.min(MAX_PITCH_DEG, pitch)) * DIAL_PX_PER_DEG;
+    const rolled = `rotate(${roll.toFixed(1)})`;
+    this.body.setAttribute('transform', `translate(0 ${-up.toFixed(1)}) ${rolled}`);
+    this.pointer.setAttribute('transform', rolled);
     this.rollText.textContent = signed(roll);
     this.pitchText.textContent = signed(pitch);
   }

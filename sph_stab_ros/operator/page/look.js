@@ -34,7 +34,8 @@ export class Look {
     canvas.addEventListener('wheel', event => {
       event.preventDefault();
       const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
-      this.zoom(Math.exp(-event.deltaY * lines / 800));
+      // A pinch on a touchpad comes as a wheel with Ctrl, in small steps.
+      this.zoom(Math.exp(-event.deltaY * lines / (event.ctrlKey ? 100 : 800)));
     }, {passive: false});
     addEventListener('keydown', event => this.#keyDown(event));
     addEventListener('keyup', event => this.#keyUp(event));

@@ -11,12 +11,15 @@ import {situation} from './situation.js';
 import {SphereRenderer} from './sphere_renderer.js';
 
 const $ = id => document.getElementById(id);
-const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70, SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
+const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
+const SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
 const NOTICE_MS = 5000;
+// Nobody steers well by what is older.
+const LATE_MS = 400;
 const MAX_PIXEL_RATIO = 2;
 // Without a graphics card, fewer pixels sooner rather than all of them later.
 const SLOW_SHARE = 0.6;
-// What a stabilizer without modes does.
+// Until the stabilizer is heard for the first time.
 const DEFAULT_MODES = ['lock'];
 const MODE_HELP = {
   lock: 'The world stands still',
@@ -24,10 +27,19 @@ const MODE_HELP = {
   yaw_follow: 'Level, and the heading follows slow turns of the robot',
 };
 
+const NO_CONTROL = {
+  none: 'No connection.',
+  free: 'Nobody steers: take control first.',
+  taken: 'Another operator steers: take control first.',
+};
+// What the server tells, as long as it tells nothing.
+const UNTOLD = {control: 'none', robot: null, rate_hz: null, latency_ms: null};
+
 const canvas = $('picture');
 const state = {
+  ...UNTOLD,
   // Times are those of performance.now().
-  connectedAt: performance.now(), reason: '', failure: '', control: 'free', robot: null,
+  connectedAt: performance.now(), reason: '', failure: '',
   // The picture on display, when it came, and whether it had an orientation.
   pictureAt: null, stabilized: true, derotated: false,
   R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
@@ -126,33 +138,35 @@ function sendLook() {
 
 // What the server tells.
 
-function takeState({control, robot, rate_hz, latency_ms, browsers}) {
-  const taken = control === 'yours' && state.control !== 'yours';
-  Object.assign(state, {control, robot});
+function takeState(told) {
+  const taken = told.control === 'yours' && state.control !== 'yours';
+  Object.assign(state, told);
   if (taken && state.moved) sendLook();
-  $('rate').textContent = `${Math.round(rate_hz)} /s`;
-  $('latency').textContent = latency_ms === null ? '–' : `${latency_ms} ms`;
-  $('estimator').textContent = robot.tracking
-    ? `${robot.tracking}, ${Math.round(robot.rate_hz)} /s` : '–';
-  const watching = control !== 'yours';
-  $('control').classList.toggle('hidden', !watching);
+  showState();
+}
+
+function showState() {
+  const {control, robot, rate_hz, latency_ms} = state;
+  const figure = (value, unit) => value === null ? '–' : `${Math.round(value)} ${unit}`;
+  $('rate').textContent = figure(rate_hz, '/s');
+  $('latency').textContent = figure(latency_ms, 'ms');
+  $('latency').classList.toggle('late', latency_ms > LATE_MS);
+  $('estimates').textContent = figure(robot?.tracking ? robot.rate_hz : null, '/s');
+  $('estimator').textContent = robot?.tracking || '–';
+  $('control').classList.toggle('hidden', control === 'yours' || control === 'none');
   $('control').firstElementChild.textContent = control === 'taken'
     ? 'Watching: another operator steers.' : 'Nobody steers.';
-  for (const [id, possible] of [['reset', robot.can_reset], ['level', robot.can_level]]) {
-    disable($(id), watching || !possible);
+  for (const [id, possible] of [['reset', robot?.can_reset], ['level', robot?.can_level]]) {
+    // Unlike a disabled button one can still come to it by keyboard and hear why it does nothing.
+    $(id).setAttribute('aria-disabled', control !== 'yours' || !possible);
   }
-  showModes(robot.modes, robot.mode, watching);
+  showModes(robot?.modes ?? [], robot?.mode, control === 'yours');
   showSituation();
 }
 
-// Unlike a disabled button one can still come to it by keyboard and hear why it does nothing.
-function disable(button, disabled) {
-  button.setAttribute('aria-disabled', disabled);
-}
-
-function showModes(modes, mode, watching) {
-  const names = modes.length ? modes : DEFAULT_MODES;
+function showModes(modes, mode, steering) {
   const box = $('modes');
+  const names = modes.length ? modes : box.dataset.names?.split(',') ?? DEFAULT_MODES;
   if (box.dataset.names !== names.join()) {
     box.dataset.names = names.join();
     box.replaceChildren(box.firstElementChild, ...names.map(name => {
@@ -167,8 +181,8 @@ function showModes(modes, mode, watching) {
     }));
   }
   for (const input of box.querySelectorAll('input')) {
-    input.checked = input.value === (mode || DEFAULT_MODES[0]);
-    input.disabled = watching || !modes.length;
+    if (mode) input.checked = input.value === mode;
+    input.disabled = !steering || !modes.length;
   }
 }
 
@@ -190,10 +204,13 @@ function showSituation() {
   const now = situation({...state, now: performance.now()});
   document.documentElement.dataset.situation = now.name;
   document.documentElement.classList.toggle('alarmed', Boolean(now.alarm));
+  // What the alarm says need not be said twice.
+  $('status').setAttribute('aria-live', now.alarm ? 'off' : 'polite');
   setText($('status').querySelector('span'), now.text);
   setIcon($('status'), now.icon);
   $('alarm').classList.toggle('hidden', !now.alarm);
   setText($('alarm').querySelector('strong'), now.alarm ? now.text : '');
+  setText($('since'), now.alarm && now.since || '');
   setText($('alarm').querySelector('span'), now.alarm ? now.detail : '');
 }
 
@@ -208,29 +225,25 @@ function setIcon(element, icon) {
 
 // What the operator does.
 
-function robotDoes(command, values) {
-  return () => {
-    if (state.control !== 'yours') show('Another operator steers: take control first.', false);
-    else if (!connection.send(command, values)) show('No connection.', false);
-  };
+// Asks the robot for something, or says why it would be in vain.
+function ask(command, possible, values) {
+  if (state.control !== 'yours') show(NO_CONTROL[state.control], false);
+  else if (possible) connection.send(command, values);
+  else show(state.robot.tracking ? 'This stabilizer does not offer that.'
+    : 'The stabilizer does not answer.', false);
 }
 
-function unlessDisabled(id, action, explanation) {
-  return () => {
-    if ($(id).getAttribute('aria-disabled') !== 'true') action();
-    else if (state.control === 'yours') show(explanation, false);
-    else robotDoes()();
-  };
+function setMode(mode) {
+  ask('set_mode', state.robot?.modes.length, {mode});
 }
 
 function nextMode() {
   const {modes, mode} = state.robot ?? {modes: []};
-  if (!modes.length) show('This stabilizer knows no modes.', false);
-  else robotDoes('set_mode', {mode: modes[(modes.indexOf(mode) + 1) % modes.length]})();
+  setMode(modes[(modes.indexOf(mode) + 1) % modes.length]);
 }
 
 function takeControl() {
-  connection.send('take_control');
+  if (!connection.send('take_control')) show(NO_CONTROL.none, false);
   state.moved = true;
   canvas.focus();
 }
@@ -248,9 +261,8 @@ function toggleFull() {
 }
 
 const actions = {
-  reset: unlessDisabled('reset', robotDoes('reset_heading'), 'The stabilizer does not answer.'),
-  level: unlessDisabled('level', robotDoes('level'),
-                        'This stabilizer cannot level the horizon.'),
+  reset: () => ask('reset_heading', state.robot?.can_reset),
+  level: () => ask('level', state.robot?.can_level),
   centre: () => look.centre(),
   before: toggleRaw,
   out: () => look.zoom(1 / 1.25),
@@ -277,9 +289,8 @@ try {
     notice: takeNotice,
     open: () => Object.assign(state, {connectedAt: performance.now(), reason: ''}),
     closed: reason => {
-      Object.assign(state, {
-        connectedAt: null, pictureAt: null, control: 'free', reason, robot: null});
-      showSituation();
+      Object.assign(state, UNTOLD, {connectedAt: null, pictureAt: null, reason});
+      showState();
     },
   });
   setInterval(showSituation, SITUATION_PERIOD_MS);
@@ -299,7 +310,13 @@ addEventListener('keydown', event => {
     actions[keyActions[key]]();
   }
 });
-$('modes').addEventListener('change', ({target}) => robotDoes('set_mode', {mode: target.value})());
+$('modes').addEventListener('change', ({target}) => {
+  setMode(target.value);
+  // After a click arrow keys look around again; those who came by keyboard go on choosing.
+  if (!target.matches(':focus-visible')) canvas.focus();
+});
+// Some telephones have none.
+$('full').hidden = !document.fullscreenEnabled;
 document.addEventListener('fullscreenchange', () =>
   $('full').setAttribute('aria-pressed', Boolean(document.fullscreenElement)));
 setInterval(showInstruments, INSTRUMENT_PERIOD_MS);

@@ -5,9 +5,8 @@
 
 const SILENCE_MS = 1000, FIRST_PICTURE_MS = 3000;
 
-// Returns {name, icon, text, detail, alarm}.
+// Returns {name, icon, text, since, detail, alarm}.
 export function situation({failure, connectedAt, reason, pictureAt, stabilized, raw, robot, now}) {
-  const silentS = pictureAt === null ? 0 : Math.floor((now - pictureAt) / 1000);
   if (failure) {
     return alarm('unable', 'No picture', failure);
   }
@@ -18,8 +17,10 @@ export function situation({failure, connectedAt, reason, pictureAt, stabilized, 
     return {name: 'connecting', icon: 'i-wait', text: 'Connecting'};
   }
   if (pictureAt === null || now - pictureAt > SILENCE_MS) {
-    return alarm('silent', 'No picture' + (silentS ? ` for ${silentS} s` : ''),
-                 robot?.camera ? 'The camera sends, but its pictures do not get here.' : 'The camera is silent.');
+    const detail = robot?.camera ? 'The camera sends, but its pictures do not get here.'
+      : 'The camera is silent.';
+    const since = pictureAt === null ? '' : `for ${Math.floor((now - pictureAt) / 1000)} s`;
+    return {...alarm('silent', 'No picture', detail), since};
   }
   if (!stabilized) {
     return alarm('unstabilized', 'Not stabilised',
