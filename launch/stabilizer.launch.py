@@ -37,6 +37,9 @@ ARGUMENTS = (
         'image_transport', default_value='', choices=['', 'raw', 'compressed'],
         description='How the images come; empty: as params_file says'),
     DeclareLaunchArgument(
+        'imu', default_value='imu',
+        description='Topic of the IMU, listened to where the parameter level is imu'),
+    DeclareLaunchArgument(
         'projection', default_value='',
         description="How a picture shows the sphere, the node's parameter projection; empty: as "
                     'params_file says'),
@@ -61,7 +64,8 @@ def stabilizer(context):
     return [Node(
         package='sph_stab_ros', executable='stabilizer', name='stabilizer',
         namespace=argument('namespace'), output='screen',
-        parameters=[argument('params_file'), given], remappings=[('image', argument('image'))])]
+        parameters=[argument('params_file'), given],
+        remappings=[(topic, argument(topic)) for topic in ('image', 'imu')])]
 
 
 def generate_launch_description():

@@ -134,17 +134,19 @@ def test_arguments_are_described(name, prefix, monkeypatch):
         str(ROOT / 'launch' / name)).get_launch_description(LaunchContext())
     arguments = {one.name: one.description for one in description.get_launch_arguments()}
     assert {'params_file', 'namespace', 'use_sim_time', 'image_transport', 'projection',
-            'image'} <= arguments.keys()
+            'image', 'imu'} <= arguments.keys()
     assert all(text and text != 'no description given' for text in arguments.values())
 
 
 def test_arguments_reach_the_node(prefix, tmp_path):
     params = tmp_path / 'params.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    image_transport: raw\n    jpeg_quality: 33\n')
+    params.write_text('/**:\n  ros__parameters:\n    image_transport: raw\n    jpeg_quality: 33\n'
+                      '    level: imu\n')
     with launched(prefix, tmp_path, STABILIZER, f'params_file:={params}', 'namespace:=robot',
                   'image:=/theta/image_raw', 'image_transport:=compressed',
-                  'projection:=dual_fisheye', 'use_sim_time:=true') as it:
-        it.wait_until(lambda: it.node.count_subscribers('/theta/image_raw/compressed'))
+                  'projection:=dual_fisheye', 'imu:=/base/imu', 'use_sim_time:=true') as it:
+        for topic in ('/theta/image_raw/compressed', '/base/imu'):
+            it.wait_until(lambda: it.node.count_subscribers(topic))
         asked = AsyncParameterClient(it.node, '/robot/stabilizer')
         it.wait_until(asked.services_are_ready)
         future = asked.get_parameters(

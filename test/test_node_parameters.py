@@ -16,7 +16,6 @@
 
 import os
 from pathlib import Path
-import runpy
 import subprocess
 import sys
 
@@ -31,8 +30,7 @@ from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
 from rclpy.context import Context  # noqa: E402
 from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[1]
-DEFAULTS = ROOT / 'config' / 'stabilizer.yaml'
+DEFAULTS = Path(__file__).resolve().parents[1] / 'config' / 'stabilizer.yaml'
 
 
 def test_every_option_is_a_parameter_with_its_default_and_limits(tmp_path):
@@ -75,6 +73,23 @@ def test_changes_take_effect_at_the_next_image(tmp_path):
             R = peer.stabilize(images[i], stamp_ns)
             assert angle_deg(R, R_world_camera[i]) < 0.5
         assert peer.get_parameters('estimator', 'view.width') == ['pts', 200]
+
+
+def test_nobody_waits_until_the_estimator_is_done(tmp_path):
+    """Answers come while an image is being worked on; of what is asked the next image is told."""
+    images, _ = turning_spheres(4, 1024)
+    slow = '-p', 'estimator:=pts_epipolar', '-p', 'working_width:=1024'
+    with stabilizer(tmp_path, *slow) as peer:
+        answers = peer.received['orientation']
+        first_ns, second_ns, third_ns = stamps_of(3)
+        peer.stabilize(images[0], first_ns)
+        peer.send(images[1], second_ns)
+        peer.spin_for(0.05)
+        assert peer.set_parameters(estimator='pts', working_width=256) == ['', '']
+        assert peer.reset().success
+        assert len(answers) == 1
+        peer.wait_until(lambda: len(answers) == 2)
+        assert peer.stabilize(images[3], third_ns).magnitude() == 0
 
 
 def test_refusals_name_the_reason_and_change_nothing(tmp_path):
@@ -151,20 +166,3 @@ def test_compressed_images_go_where_the_raw_ones_go(remappings, topic):
     node.destroy_node()
     context.try_shutdown()
     assert resolved == topic
-
-
-def test_launch_file_describes_its_arguments():
-    pytest.importorskip('launch_ros', reason='launch_ros comes with a ROS installation only')
-    from launch import LaunchContext
-    script = runpy.run_path(str(ROOT / 'launch' / 'stabilizer.launch.py'))
-    described = {argument.name: argument.description
-                 for argument in script['generate_launch_description']().get_launch_arguments()}
-    assert described.keys() == {
-        'params_file', 'namespace', 'image', 'image_transport', 'use_sim_time'}
-    assert all(described.values())
-
-    context = LaunchContext()
-    context.launch_configurations.update(
-        {**dict.fromkeys(described, ''), 'params_file': str(DEFAULTS), 'image': 'camera/image'})
-    node, = script['stabilizer'](context)
-    assert (node.node_package, node.node_executable) == ('sph_stab_ros', 'stabilizer')
