@@ -117,9 +117,10 @@ class Peer:
         self.subscribe(msg_type, topic, self.received[topic].append)
 
     def subscribe(self, msg_type, topic, callback):
-        """Subscribe to a topic of any type, once it is published."""
-        self._node.create_subscription(msg_type, topic, callback, 10)
+        """Subscribe to a topic of any type, once it is published; return what unsubscribes."""
+        subscription = self._node.create_subscription(msg_type, topic, callback, 10)
         self.wait_until(lambda: self._node.count_publishers(topic))
+        return lambda: self._node.destroy_subscription(subscription)
 
     def spin_for(self, seconds):
         """Serve the middleware for so long."""

@@ -112,6 +112,37 @@ def test_pictures_show_what_the_orientation_says(tmp_path):
             assert {msg.header.frame_id for msg in (view, view_jpeg, info)} == {'view_optical'}
 
 
+def test_every_encoding_shows_the_same(tmp_path):
+    sphere = textured_sphere(256)
+    encodings = {'bgr8': None, 'rgb8': cv2.COLOR_BGR2RGB, 'bgra8': cv2.COLOR_BGR2BGRA,
+                 'rgba8': cv2.COLOR_BGR2RGBA, 'mono8': cv2.COLOR_BGR2GRAY}
+    with stabilizer(tmp_path, *QUICK, topics=('orientation', 'stabilized/image')) as peer:
+        for (encoding, conversion), ns in zip(encodings.items(), stamps_of(5)):
+            image = sphere if conversion is None else cv2.cvtColor(sphere, conversion)
+            msg = Image(height=128, width=256, encoding=encoding, step=image[0].size)
+            msg.data.frombytes(image.tobytes())
+            assert peer.stabilize(msg, ns).magnitude() < np.deg2rad(0.1)
+            shown = peer.received['stabilized/image'][-1]
+            grey = encoding == 'mono8'
+            assert shown.encoding == ('mono8' if grey else 'bgr8')
+            assert mean_difference(image_from_message(shown), image if grey else sphere) < 2
+
+
+def test_png_is_read_and_grey_jpeg_written_as_image_transport_does(tmp_path):
+    sphere = textured_sphere(256)
+    with stabilizer(tmp_path, *QUICK, compressed=True, topics=(
+            'orientation', 'stabilized/image/compressed')) as peer:
+        for image, jpeg_format, ns in zip(
+                (sphere, cv2.cvtColor(sphere, cv2.COLOR_BGR2GRAY)),
+                ('bgr8; jpeg compressed bgr8', 'mono8; jpeg compressed '), stamps_of(2)):
+            msg = CompressedImage(format='png')
+            msg.data.frombytes(cv2.imencode('.png', image)[1].tobytes())
+            peer.stabilize(msg, ns)
+            shown = peer.received['stabilized/image/compressed'][-1]
+            assert shown.format == jpeg_format
+            assert mean_difference(image_from_message(shown), image) < 5
+
+
 def test_view_follows_whoever_spoke_last(tmp_path):
     sphere = compass_sphere()
     stamps_ns = iter(stamps_of(1000))

@@ -23,8 +23,10 @@ from synthetic import angle_deg
 from tiny_recordings import stamps_of, turning_spheres
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
-from node_harness import DOMAINS, rotation, stabilizer, stamp_ns  # noqa: E402, I100
+from node_harness import (  # noqa: E402, I100
+    DOMAINS, rotation, SETTLING_S, stabilizer, stamp_ns)
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
 
 WIDTH = 256
 STAGES = {'cpu_percent: decode', 'cpu_percent: track', 'cpu_percent: warp',
@@ -72,6 +74,45 @@ def test_covariances_and_diagnostics_are_those_of_the_estimator(tmp_path):
         said = peer.diagnostics(lambda values: values['frames'] == '10')
         assert len(poses) == count
         assert not {'uncertainty_deg', 'keyframes', 'still_percent'} & said.keys()
+
+
+def test_pictures_cost_nothing_while_nobody_subscribes(tmp_path):
+    images, _ = turning_spheres(2, WIDTH)
+    stamps_ns = iter(stamps_of(1000))
+
+    def warping_percent(peer):
+        """Return the CPU for pictures over a second in which images came."""
+        peer.diagnostics(lambda values: True)
+        for _ in range(4):
+            peer.stabilize(images[0], next(stamps_ns))
+        said = peer.diagnostics(lambda values: float(values['rate_hz']) > 0)
+        return float(said.get('cpu_percent: warp', 0))
+
+    with stabilizer(tmp_path, topics=('orientation', '/diagnostics')) as peer:
+        assert warping_percent(peer) == 0
+        for topic in ('stabilized/image', 'view/image'):
+            seen = []
+            unsubscribe = peer.subscribe(Image, topic, seen.append)
+            peer.spin_for(SETTLING_S)
+            assert warping_percent(peer) > 0 and len(seen) >= 4
+            unsubscribe()
+            peer.spin_for(SETTLING_S)
+            assert warping_percent(peer) == 0
+
+
+def test_images_that_come_too_fast_are_dropped_and_counted(tmp_path):
+    images, _ = turning_spheres(2, 1024)
+    slow = '-p', 'estimator:=pts_epipolar', '-p', 'working_width:=1024'
+    with stabilizer(tmp_path, *slow, topics=('orientation', '/diagnostics')) as peer:
+        for i, ns in enumerate(stamps_of(20)):
+            peer.send(images[i % 2], ns)
+            peer.spin_for(0.01)
+        answers = peer.received['orientation']
+        # The newest one is served.
+        peer.wait_until(lambda: answers and stamp_ns(answers[-1]) == ns)
+        said = peer.diagnostics(lambda values: int(values['frames']) == len(answers))
+    # Some may never have come.
+    assert 0 < int(said['dropped']) <= 20 - len(answers)
 
 
 def test_nothing_is_said_on_tf_of_images_without_a_frame(tmp_path):

@@ -213,6 +213,23 @@ def test_the_front_is_marked_where_it_is(observer):
     assert np.abs(pixels(observer.last('stabilized/image')).astype(int) - marked).max() <= 2
 
 
+@pytest.mark.parametrize('mode, R_world_view', (
+    ('lock', Rotation.identity()), ('follow', view_rotation(0.7, 0.3)),
+    ('yaw_follow', view_rotation(0.7))))
+def test_the_view_keeps_of_a_turn_what_the_mode_says(observer, mode, R_world_view):
+    """Once the camera has stood long enough after it, 0.7 rad to the left and 0.3 up."""
+    observer.peer.reset()
+    assert not any(observer.peer.set_parameters(
+        smoothing__mode=mode, smoothing__time_constant_s=0.1))
+    for share in (*np.linspace(0, 1, 21), *np.ones(20)):
+        observer.send(rotate_equirect(SPHERE, view_rotation(0.7 * share, 0.3 * share)))
+    expected = perspective_view(SPHERE, R_world_view, np.deg2rad(90), (160, 120))
+    assert np.abs(pixels(observer.last('front/image')).astype(int) - expected).mean() < 3
+    assert not any(observer.peer.set_parameters(
+        smoothing__mode='lock', smoothing__time_constant_s=2.))
+    observer.peer.reset()
+
+
 def test_spheres_that_follow_the_camera_are_in_a_frame_of_their_own(observer):
     observer.peer.reset()
     assert observer.peer.set_parameters(smoothing__mode='follow') == ['']
