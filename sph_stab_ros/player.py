@@ -24,6 +24,7 @@ from dataclasses import is_dataclass
 from heapq import merge
 from importlib import import_module
 from pathlib import Path
+import signal
 import sys
 import time
 
@@ -220,6 +221,8 @@ def main(argv=None):
     argv = sys.argv if argv is None else ['player', *argv]
     try:
         args = arguments(remove_ros_args(argv)[1:])
+        # rclpy's handler ends it; a KeyboardInterrupt on top could come at any time.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         rclpy.init(args=argv)
     except (RCLError, UnknownROSArgsError) as error:
         print(f'player: {str(error).splitlines()[0]}', file=sys.stderr)
@@ -235,7 +238,7 @@ def main(argv=None):
             player.wait_for_subscriber()
         # The times of a video are no clock's, and begin with zero, which means unknown to ROS.
         player.play(args.rate, args.loop, args.now or recording.image_topic is None)
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     except RCLError as error:
         # Publishing while ROS ends is no failure.
