@@ -241,8 +241,8 @@ class StabilizerConfig(Checked):
     smoothing: SmoothingConfig = SmoothingConfig()
     imu: ImuConfig = ImuConfig()
     level: str = option(
-        FIRST_FRAME, "What is level: the first image's orientation, or what the IMU's "
-        'accelerometer says', choices=LEVELS)
+        FIRST_FRAME, "What is level: the first image's orientation, or what the IMU on the topic "
+        'imu says, whose gyro then predicts turns as well', choices=LEVELS)
     projection: str = option(
         EQUIRECT, 'What the images are: equirectangular, or the two circles of two fisheye lenses '
         'as calibrated in fisheye.*', choices=PROJECTIONS)

@@ -14,8 +14,11 @@
 
 """What integrators expect of the real node: covariances, transforms, QoS, names, diagnostics."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from sph_stab_ros.config import StabilizerConfig, TrackerConfig
 from sph_stab_ros.frame import Frame
 from sph_stab_ros.stabilization import Stabilizer
@@ -28,6 +31,7 @@ from node_harness import (  # noqa: E402, I100
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 
+RVIZ = Path(__file__).resolve().parents[1] / 'config' / 'stabilizer.rviz'
 WIDTH = 256
 STAGES = {'cpu_percent: decode', 'cpu_percent: track', 'cpu_percent: warp',
           'cpu_percent: publish', 'cpu_percent: total'}
@@ -155,6 +159,18 @@ def test_qos_is_that_of_sensor_data_unless_parameters_say_otherwise(tmp_path):
         assert peer.get_parameters('qos_overrides./orientation.publisher.depth') == [3]
         assert {f'qos_overrides.{topic}.publisher.reliability' for topic in outputs} <= (
             peer.list_parameters())
+
+
+def test_rviz_shows_what_the_node_publishes(tmp_path):
+    manager = YAML(typ='safe').load(RVIZ)['Visualization Manager']
+    topics = [f"/{one['Topic']['Value']}" for one in manager['Displays'] if 'Topic' in one]
+    assert topics
+    with stabilizer(tmp_path) as peer:
+        for topic in topics:
+            # Such a publisher suits every subscriber.
+            assert peer.qos(topic).reliability is ReliabilityPolicy.RELIABLE
+        assert peer.get_parameters('stabilized_frame') == [
+            manager['Global Options']['Fixed Frame']]
 
 
 def test_two_nodes_work_side_by_side(tmp_path):
