@@ -35,13 +35,17 @@ import numpy as np
 from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from sensor_msgs.msg import Imu
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.level import GRAVITY_M_S2
 from sph_stab_ros.processes import memory_mb, running
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.ros.imu_input import NOT_MEASURED
 from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.soak_visitors import Comings, Participant
 from sph_stab_ros.trajectory import NS_PER_S
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from tqdm import tqdm
 
@@ -63,7 +67,9 @@ CHANGES = (
     ('working_width', 480, True), ('view.roll_deg', 20., True), ('jpeg_quality', 50, True),
     ('mask', '', True), ('working_width', 0, True), ('flow_updates', 0, True),
     ('flow', 'farneback', True), ('jpeg_quality', 90, True), ('view.hfov_deg', 100., True),
-    ('view.width', 640, True), ('view.height', 480, True), ('view.yaw_deg', 0., True),
+    ('view.width', 640, True), ('view.height', 480, True), ('smoothing.mode', 'follow', True),
+    ('level', 'imu', True), ('level', 'sideways', False), ('smoothing.mode', 'yaw_follow', True),
+    ('level', 'first_frame', True), ('smoothing.mode', 'lock', True), ('view.yaw_deg', 0., True),
     ('view.pitch_deg', 0., True), ('view.roll_deg', 0., True), ('view.hfov_deg', 90., True))
 RESET_PERIOD_S = 45
 
@@ -82,6 +88,7 @@ class Soak:
         node.create_subscription(DiagnosticArray, '/diagnostics', self._on_beat, 10)
         self._parameters = AsyncParameterClient(node, 'stabilizer')
         self._reset = node.create_client(Trigger, 'stabilizer/reset')
+        self._imu = node.create_publisher(Imu, 'imu', 10)
 
     def _on_beat(self, msg):
         for status in msg.status:
@@ -107,6 +114,7 @@ class Soak:
             self._reset.call_async(Trigger.Request())
         self._comings.turn(number)
         while monotonic() < end_s or (not answer.done() and monotonic() < end_s + STARTUP_S):
+            self._imu.publish(self._gravity())
             self.host.serve(max(0., min(0.02, end_s - monotonic())))
             self._comings.serve()
         if not answer.done():
@@ -114,6 +122,13 @@ class Soak:
         elif answer.result().results[0].successful != good:
             self.failures.append(f"second {number}: {name} was {'refused' if good else 'set to'} "
                                  f'{value!r}')
+
+    def _gravity(self):
+        """Return what an accelerometer without a gyro says at rest."""
+        msg = Imu(header=Header(stamp=self.host.node.get_clock().now().to_msg()))
+        msg.linear_acceleration.z = GRAVITY_M_S2
+        msg.angular_velocity_covariance[0] = NOT_MEASURED
+        return msg
 
     def close(self):
         """Leave the node alone."""
