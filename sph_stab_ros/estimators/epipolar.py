@@ -30,8 +30,8 @@ MIN_ALIGNMENT = 0.55
 # Ω at which flow counts a quarter. On plain walls flow is interpolated and points anywhere: in the
 # worst of three real stereo pairs Σ Ω² errs by 0.5–0.7°, bounded by 0.2–0.3°.
 BOUND_RAD = 0.5
-# Steps end when shorter than these, on the way and at the end. The last ones move the epipole along
-# its flat valley: the rotation is then within 0.01° of its own end, in half of the steps.
+# Steps end when shorter than these, on the way and at the end. The last ones move the epipole
+# along its flat valley: the rotation is then within 0.01° of its own end, in half of the steps.
 ON_THE_WAY_RAD, END_RAD = 1e-2, 1e-4
 
 
