@@ -22,6 +22,8 @@ AXES = ('roll', 'pitch', 'yaw')
 COLOURS = ('#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9')
 LINES = ('-', '--', '-.', (0, (4, 1, 1, 1, 1, 1)))
 DPI = 200
+# Errors of the methods differ by factors of a hundred; smaller ones than this are of no interest.
+MIN_ERROR_DEG = 0.01
 # Longer pauses are left blank.
 GAP_INTERVALS = 2.5
 
@@ -58,7 +60,7 @@ def orientation_figure(title, errors):
             error_panel.plot(*_with_gaps(one.time_s, one.absolute_rpy_deg[:, axis]), **style)
         angle_panel.set_ylabel(f'{AXES[axis]} [deg]')
         error_panel.set_ylabel(f'error of {AXES[axis]} [deg]')
-        error_panel.set_ylim(bottom=0)
+        _logarithmic(error_panel)
     panels[0, 0].set_title('orientation')
     panels[0, 1].set_title('absolute error')
     for panel in panels.flat:
@@ -83,10 +85,17 @@ def methods_figure(title, errors):
         panel.bar_label(bars, fmt='%.2f', fontsize=7, padding=1)
     panel.set_xticks(range(len(errors)), [name.replace('/', '\n') for name in errors])
     panel.set_ylabel('mean absolute error [deg]')
+    _logarithmic(panel)
     panel.grid(axis='y', alpha=0.3)
     panel.set_axisbelow(True)
     panel.legend()
     return figure
+
+
+def _logarithmic(panel):
+    panel.set_yscale('log')
+    panel.set_ylim(bottom=MIN_ERROR_DEG)
+    panel.yaxis.set_major_formatter('{x:g}')
 
 
 def _style(number):
