@@ -121,10 +121,15 @@ def listen(listener, node, player, seconds, frame_count):
 
     Tells whether it was Ctrl-C, which in a terminal reaches the other processes too.
     """
-    end_s = monotonic() + seconds
+    def go_on(until_s):
+        return node.poll() is player.poll() is None and monotonic() < until_s
+
     try:
-        listener.listen_while(lambda: node.poll() is player.poll() is None
-                              and monotonic() < end_s and len(listener.images) < frame_count)
+        start_s = monotonic()
+        listener.listen_while(lambda: go_on(start_s + STARTUP_S) and not listener.images)
+        first_s = monotonic()
+        listener.listen_while(lambda: go_on(first_s + seconds)
+                              and len(listener.images) < frame_count)
     except KeyboardInterrupt:
         return True
     return False
@@ -180,13 +185,16 @@ def write_results(recording, truth, listener, folder):
             video.write(side_by_side(stabilized, Rotation.identity(), HFOV_RAD),
                         stabilized.stamp_ns)
     estimate = listener.trajectory()
-    errors = compare(truth, estimate, align(truth, estimate))
+    # The stamps are of one clock; a few seconds of motion would not tell an offset.
+    alignment = align(truth, estimate, clock_offset_ns=0)
+    errors = compare(truth, estimate, alignment)
     plots.orientation_figure(recording.name, {'node': errors}).savefig(
         folder / 'orientation.png', dpi=plots.DPI)
+    exactness = (f'orientation off by {errors.geodesic_deg.mean():.2f} deg on average, '
+                 f'{errors.geodesic_deg.max():.2f} deg at most' if alignment.mount_solved
+                 else 'too little motion to tell how exactly')
     print(f'{folder}/demo.mp4 and {folder}/orientation.png: {len(errors.time_s)} of '
-          f'{len(listener.images)} frames stabilised live, orientation off by '
-          f'{errors.geodesic_deg.mean():.2f} deg on average, '
-          f'{errors.geodesic_deg.max():.2f} deg at most', flush=True)
+          f'{len(listener.images)} frames stabilised live, {exactness}', flush=True)
 
 
 def main(argv=None):
