@@ -80,7 +80,7 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware
 	$(PY) -m sph_stab_ros.benchmark_ros --profile config/fastdds_large_images.xml \
 	    --json results/benchmark-ros/benchmark_ros.json
 	@if command -v chromium > /dev/null; then \
-	  $(PY) tools/operator_latency.py --json results/benchmark-ros/operator.json; \
+	  $(PY) tools/operator_latency.py --add-to results/benchmark-ros/benchmark_ros.json; \
 	else echo "without chromium the operator's page is not measured"; fi
 
 soak: setup  ## Let the node run for ten minutes while everything around it changes

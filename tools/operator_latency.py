@@ -52,6 +52,7 @@ BLOCK_RAD = 2 * np.pi / 160
 SIZE_WH = 1280, 720
 FOV_RAD = np.deg2rad(100)
 PERCENTILES = (50, 95, 99)
+KEY = 'operator_page'
 # WebGL in software where there is no graphics card; no connections of the browser's own.
 CHROMIUM_FLAGS = (
     '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking',
@@ -216,7 +217,8 @@ def main():
                         help='pictures per second (default: %(default)s)')
     parser.add_argument('--frames', metavar='N', type=int, default=300,
                         help='pictures that count (default: %(default)s)')
-    parser.add_argument('--json', metavar='FILE', type=Path, help='write all figures')
+    parser.add_argument('--add-to', metavar='FILE', type=Path,
+                        help=f"add all figures to those in a JSON file, as '{KEY}'")
     args = parser.parse_args()
     chromium = shutil.which(os.environ.get('CHROMIUM') or 'chromium')
     if not chromium:
@@ -228,8 +230,9 @@ def main():
           f"{args.rate:g} Hz: {result['drawn']}/{result['frames']} drawn, "
           f"{result['wrong_numbers']} with a wrong number; latency ms {latency}; CPU % {cpu}; "
           f"load before {result['machine']['load_before']:.1f}")
-    if args.json:
-        args.json.write_text(json.dumps(result, indent=2) + '\n')
+    if args.add_to:
+        others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
+        args.add_to.write_text(json.dumps({**others, KEY: result}, indent=2) + '\n')
 
 
 if __name__ == '__main__':
