@@ -7,6 +7,8 @@ import {wrapped} from './rotation.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const PX_PER_DEG = 3.6, TAPE_HEIGHT = 40, TICK_DEG = 10;
+// At both ends, see style.css, and half a pointer.
+const FADED_PX = 24 + 7;
 const DIAL_PX_PER_DEG = 0.8, DIAL_RADIUS = 54, MAX_PITCH_DEG = 40;
 
 function element(name, attributes, parent, text = '') {
@@ -57,10 +59,10 @@ export class HeadingTape {
     const shift = -wrapped(heading) * PX_PER_DEG;
     this.scale.setAttribute('transform', `translate(${shift.toFixed(1)})`);
     const x = wrapped(robotHeading - heading) * PX_PER_DEG;
-    const beyond = Math.abs(x) > end - 9 ? Math.sign(x) : 0;
+    const beyond = Math.abs(x) > end - FADED_PX ? Math.sign(x) : 0;
     // At the end of the scale it points to the shorter way.
     this.robot.setAttribute('transform', beyond
-      ? `translate(${beyond * (end - 9)} 7) rotate(${90 * beyond}) translate(0 -7)`
+      ? `translate(${beyond * (end - FADED_PX)} 7) rotate(${90 * beyond}) translate(0 -7)`
       : `translate(${x.toFixed(1)})`);
     this.output.textContent = `${String(((Math.round(heading) % 360) + 360) % 360)
       .padStart(3, '0')}°`;
