@@ -21,9 +21,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import bearing_grid
-from sph_stab_ros.trackers.anchored import AnchoredTracker, POOL_SIZE
+from sph_stab_ros.trackers.anchored import AnchoredTracker
 from sph_stab_ros.trackers.base import TrackingStatus
 from sph_stab_ros.trackers.still_pixels import StillPixels
+from sph_stab_ros.trackers.surroundings import MAX_KEYFRAMES
 from synthetic import angle_deg, random_rotation, unit
 
 WIDTH = 320
@@ -209,10 +210,10 @@ def test_without_a_turn_nothing_is_said_to_stand_still():
 def test_memory_does_not_grow():
     tracker = AnchoredTracker(128)
     rng = np.random.default_rng(6)
-    for i in range(POOL_SIZE + 10):
+    for i in range(MAX_KEYFRAMES + 10):
         position = (0.07 * i - 1.4, rng.uniform(-0.3, 0.3), rng.uniform(-0.8, 0.8))
         tracker.track(room(Rotation.identity(), position, 128), i * PERIOD_NS)
-    assert tracker.keyframes_kept == POOL_SIZE
+    assert tracker.keyframes_kept == MAX_KEYFRAMES
 
 
 def test_the_covariance_is_that_of_the_errors():

@@ -13,50 +13,62 @@
 # limitations under the License.
 
 """
-The anchored tracker: corners followed against keyframes in the stabilised picture.
+The anchored tracker: landmarks of which each keeps the look it had when it was first seen.
 
-Each frame is turned into the world as predicted, and shifted by the parallax as predicted, so that
-little is left to follow; and it is compared with a keyframe instead of with the frame before, so
-that errors do not add up.
+What is compared with its first look instead of with the last frame does not drift. Each frame is
+located among the landmarks; now and then one becomes a keyframe, and the last keyframes' poses and
+the landmarks' depths are adjusted together. Landmarks at rest are looked for again when the camera
+comes near.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import pixels_from_bearings
 from sph_stab_ros.flow import has_texture
-from sph_stab_ros.trackers.band import Band, MARGIN_PX
 from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, TrackingStatus
-from sph_stab_ros.trackers.keyframe import Keyframe, MIN_POINTS, MIN_WEIGHT, PRIOR_INFORMATION
+from sph_stab_ros.trackers.location import locate, look_for, MATURE_FRAMES, MIN_MATURE, MIN_POINTS
+from sph_stab_ros.trackers.patches import Pyramid
 from sph_stab_ros.trackers.still_pixels import StillPixels
+from sph_stab_ros.trackers.surroundings import Map, MAX_LANDMARKS, Sightings
 from sph_stab_ros.trackers.thumbnail import align, difference, Thumbnail
 from sph_stab_ros.trajectory import NS_PER_S
 
-# A keyframe is replaced when fewer of its points are found, or when they have moved further.
-MIN_SURVIVORS = 0.5
-MAX_PARALLAX_RAD = 0.08
-# Prediction errors beyond this are taken out of the picture and the corners followed once more.
-GOOD_PREDICTION_RAD = np.deg2rad(0.7)
-MAX_ATTEMPTS = 3
-# A fit by fewer of the points that were followed shows something else.
-MIN_AGREEMENT = 0.3
-POOL_SIZE = 32
-# Mean difference of thumbnails of one place, in standard deviations of their grey values.
-SAME_PLACE = 0.15
+# A new keyframe is made where fewer of the landmarks than these are seen, or where they have moved
+# further since the last one, in the median.
+MIN_SURVIVORS = 0.4
+MAX_PARALLAX_RAD = 0.04
+# Landmarks are put to rest when they are missed for so many frames, or disagree for as many.
+MAX_MISSED = 3
+MIN_AGREED, DISAGREEING = -5, -2
+# At a keyframe so many of those at rest are looked for; they are back within this much.
+MAX_RETURNING = 300
+RETURNING_SIZE = 8.0
+# How far the camera moves against a prediction, in the unit of the map, per second.
+POSITION_SIGMA_PER_S = 0.6
+MIN_POSITION_SIGMA = 0.02
 # After a loss the last keyframes are tried, from these headings.
-MAX_CANDIDATES = 4
+MAX_CANDIDATES = 6
 YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
-# An old keyframe is returned to from so near.
-MAX_RETURNS = 2
-MAX_RETURN_PARALLAX_RAD = 0.015
-MIN_RETURN_SURVIVORS = 0.75
+MAX_ATTEMPTS = 3
 # A correction reaches the picture at this rate.
 MAX_CORRECTION_RAD = np.deg2rad(0.01)
 
 
+@dataclass(frozen=True)
+class View:
+    """A grey sphere (H, W) and what is made of it."""
+
+    grey: np.ndarray
+    pyramid: Pyramid
+    thumbnail: Thumbnail
+
+
 class AnchoredTracker:
     """
-    Orientation against keyframes, of which the ones at places seen before are used again.
+    Orientation among landmarks, of which those at places seen before are used again.
 
     Parameters
     ----------
@@ -72,7 +84,6 @@ class AnchoredTracker:
     """
 
     def __init__(self, width, used=None, max_prediction_s=0.5, turn_between=no_gyro):
-        self._band = Band(width)
         self._used = used
         self._max_prediction_s = max_prediction_s
         self._turn_between = turn_between
@@ -80,14 +91,16 @@ class AnchoredTracker:
 
     def reset(self):
         """Forget everything: the next frame's orientation is the new world."""
-        self._keyframe = None
-        self._pool = []
+        self._map = Map()
         self._still = StillPixels()
         self._thumbnail = None
         self._stamp_ns = None
         self._R_world_camera = Rotation.identity()
-        self._R_out_world = Rotation.identity()
         self._angular_velocity_rad_s = None
+        self._position = np.zeros(3)
+        self._velocity_per_s = np.zeros(3)
+        self._covariance = np.zeros((3, 3))
+        self._R_out_world = Rotation.identity()
 
     @property
     def still_pixels(self):
@@ -96,154 +109,175 @@ class AnchoredTracker:
 
     @property
     def keyframes_kept(self):
-        """Return the number of keyframes in the pool."""
-        return len(self._pool)
+        """Return the number of keyframes in the map."""
+        return len(self._map.keyframes)
 
     def track(self, grey, stamp_ns):
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         if not has_texture(grey):
             return self._predicted(stamp_ns)
-        thumbnail = Thumbnail(grey)
-        if self._keyframe is None:
-            self._accept(grey, thumbnail, stamp_ns, self._R_world_camera)
-            self._add_keyframe(grey)
-            return TrackedOrientation(
-                self._R_world_camera, TrackingStatus.OK, self._keyframe.orientation_covariance())
-
-        R_camera_last = self._turn_since(stamp_ns).inv()
-        R_camera_last = align(self._thumbnail, thumbnail, R_camera_last)
-        R_world_camera = self._measure(
-            self._keyframe, grey, self._R_world_camera * R_camera_last.inv())
-        if R_world_camera is None:
-            R_world_camera = self._relocalise(grey, thumbnail)
-        if R_world_camera is None:
-            held = self._predicted(stamp_ns)
-            if held.status is TrackingStatus.LOST:
-                self._accept(grey, thumbnail, None, held.R_world_camera)
-                self._R_out_world = Rotation.identity()
-                self._keyframe = None
-                self._add_keyframe(grey)
-            return held
-        self._accept(grey, thumbnail, stamp_ns, R_world_camera)
-        if self._is_used_up():
-            self._change_keyframe(grey)
+        view = View(grey, Pyramid(grey), Thumbnail(grey))
+        if not self._map.keyframes:
+            self._start_map(view, stamp_ns)
+        else:
+            location = self._locate(view, stamp_ns) or self._relocate(view)
+            if location is None:
+                held = self._predicted(stamp_ns)
+                if held.status is TrackingStatus.LOST:
+                    self._R_world_camera = held.R_world_camera
+                    self._start_map(view, None)
+                return held
+            self._accept(view, stamp_ns, location)
+            self._judge_landmarks(location)
+            if self._is_keyframe(location):
+                self._add_keyframe(view, location)
         return TrackedOrientation(
-            self._R_out_world * self._R_world_camera, TrackingStatus.OK,
-            self._keyframe.orientation_covariance())
+            self._R_out_world * self._R_world_camera, TrackingStatus.OK, self._covariance)
 
-    def _measure(self, keyframe, grey, R_world_camera):
-        """Return R_world_camera measured against a keyframe from a guess, None without."""
-        for _ in range(MAX_ATTEMPTS):
-            measured = keyframe.measure(
-                grey, R_world_camera, lambda x: self._is_usable(x, R_world_camera))
-            if measured is None:
-                return None
-            index, y, fit = measured
-            agreeing = (fit.weights > MIN_WEIGHT).sum()
-            if agreeing < max(MIN_POINTS, MIN_AGREEMENT * len(index)):
-                return None
-            R_world_camera = fit.R.inv() * R_world_camera
-            if fit.R.magnitude() < GOOD_PREDICTION_RAD:
-                break
-        keyframe.update(index, y, fit)
-        return R_world_camera
-
-    def _accept(self, grey, thumbnail, stamp_ns, R_world_camera):
-        """Make this frame the last one that showed something."""
-        step = self._R_world_camera.inv() * R_world_camera
+    def _start_map(self, view, stamp_ns):
+        """Start anew from here, in the orientation reached."""
+        self._map = Map()
+        self._position, self._velocity_per_s = np.zeros(3), np.zeros(3)
+        self._R_out_world = Rotation.identity()
         self._angular_velocity_rad_s = None
-        if None not in (stamp_ns, self._stamp_ns) and stamp_ns > self._stamp_ns:
+        self._still.update(view.grey, None)
+        self._thumbnail, self._stamp_ns = view.thumbnail, stamp_ns
+        self._map.add_keyframe(
+            self._R_world_camera, self._position, self._covariance, view.thumbnail,
+            Sightings(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
+        self._map.add_landmarks(view.grey, view.pyramid, self._usable_pixels())
+        self._landmarks_at_keyframe = MAX_LANDMARKS
+
+    def _locate(self, view, stamp_ns):
+        """Return the Location near where the camera is expected, None without."""
+        if self._map.landmarks is None:
+            return None
+        R_camera_last = align(
+            self._thumbnail, view.thumbnail, self._turn_since(stamp_ns).inv())
+        elapsed_s = self._trusted_s(stamp_ns)
+        return locate(
+            self._map, np.flatnonzero(self._map.landmarks.active), view.pyramid,
+            self._R_world_camera * R_camera_last.inv(),
+            self._position + elapsed_s * self._velocity_per_s,
+            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._is_usable)
+
+    def _relocate(self, view):
+        """Return the Location near one of the last keyframes, whatever the camera has done."""
+        if self._map.landmarks is None:
+            return None
+        starts = []
+        for keyframe in self._map.keyframes[-MAX_CANDIDATES:]:
+            for yaw_rad in YAW_STARTS_RAD:
+                R_camera_key = align(keyframe.thumbnail, view.thumbnail,
+                                     Rotation.from_rotvec((0, yaw_rad, 0)))
+                unlike = difference(keyframe.thumbnail, view.thumbnail, R_camera_key)
+                starts.append((unlike, len(starts), keyframe, R_camera_key))
+        landmarks = self._map.landmarks
+        for _, _, keyframe, R_camera_key in sorted(starts)[:MAX_ATTEMPTS]:
+            rows = np.flatnonzero((landmarks.host == keyframe.id)
+                                  | np.isin(landmarks.id, keyframe.sightings.id))
+            location = locate(
+                self._map, rows, view.pyramid,
+                Rotation.from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
+                POSITION_SIGMA_PER_S, self._is_usable)
+            if location is not None:
+                landmarks.active[location.rows] = True
+                landmarks.missed[location.rows] = 0
+                self._R_out_world = Rotation.identity()
+                return location
+        return None
+
+    def _accept(self, view, stamp_ns, location):
+        """Make this frame the last one that showed something."""
+        step = self._R_world_camera.inv() * location.R_world_camera
+        move = location.pose.position - self._position
+        self._angular_velocity_rad_s, self._velocity_per_s = None, np.zeros(3)
+        if self._stamp_ns is not None and stamp_ns > self._stamp_ns:
             elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
             self._angular_velocity_rad_s = step.as_rotvec() / elapsed_s
-        self._still.update(grey, None if self._thumbnail is None else step.inv())
-        self._thumbnail = thumbnail
-        self._stamp_ns = stamp_ns
-        self._R_world_camera = R_world_camera
+            self._velocity_per_s = move / elapsed_s
+        self._still.update(view.grey, step.inv())
+        self._thumbnail, self._stamp_ns = view.thumbnail, stamp_ns
+        self._R_world_camera = location.R_world_camera
+        self._position = location.pose.position
+        self._covariance = (self._map.keyframes[-1].covariance
+                            + _turned(location.pose.covariance[:3, :3], self._R_world_camera))
         left = self._R_out_world.as_rotvec()
         size = np.linalg.norm(left)
         self._R_out_world = Rotation.from_rotvec(
             left * (max(0., size - MAX_CORRECTION_RAD) / max(size, 1e-12)))
 
-    def _is_used_up(self):
-        return (len(self._keyframe.found) < MIN_SURVIVORS * len(self._keyframe)
-                or self._keyframe.parallax_rad() > MAX_PARALLAX_RAD)
+    def _judge_landmarks(self, location):
+        """Note which landmarks agree; put those to rest that are not seen or do not."""
+        landmarks, agreeing = self._map.landmarks, location.agreeing
+        good = location.rows[agreeing]
+        landmarks.inverse_depth[good] = location.pose.inverse_depths[agreeing]
+        landmarks.agreed[location.rows] += np.where(agreeing, 1, DISAGREEING)
+        np.minimum(landmarks.agreed, 2 * MATURE_FRAMES, out=landmarks.agreed)
+        landmarks.missed[landmarks.active] += 1
+        landmarks.missed[good] = 0
+        landmarks.active &= (landmarks.missed < MAX_MISSED) & (landmarks.agreed > MIN_AGREED)
 
-    def _change_keyframe(self, grey):
-        """Go on with an old keyframe where there is one of this place, else with a new one."""
-        others = [k for k in self._nearest(self._thumbnail, self._R_world_camera)
-                  if k is not self._keyframe]
-        for keyframe in others[:MAX_RETURNS]:
-            keyframe.return_to()
-            R_world_camera = self._measure(keyframe, grey, self._R_world_camera)
-            if (R_world_camera is None
-                    or len(keyframe.found) < MIN_RETURN_SURVIVORS * len(keyframe)
-                    or keyframe.parallax_rad() > MAX_RETURN_PARALLAX_RAD):
-                continue
-            self._R_out_world = self._R_out_world * self._R_world_camera * R_world_camera.inv()
-            self._R_world_camera = R_world_camera
-            self._keyframe = keyframe
-            return
-        self._add_keyframe(grey)
+    def _is_keyframe(self, location):
+        seen = location.rows[location.agreeing]
+        last = self._map.keyframes[-1]
+        parallax_rad = np.median(np.linalg.norm(
+            self._map.directions(seen, self._position)
+            - self._map.directions(seen, last.position), axis=1))
+        if parallax_rad > MAX_PARALLAX_RAD:
+            return True
+        # In the beginning those that move by themselves must have time to tell.
+        mature = (self._map.landmarks.agreed[seen] >= MATURE_FRAMES).sum()
+        return len(seen) < (MIN_SURVIVORS * self._landmarks_at_keyframe
+                            if mature >= MIN_MATURE else 2 * MIN_POINTS)
 
-    def _add_keyframe(self, grey):
-        """Start a keyframe here; its neighbours' points go on in it."""
-        image = self._band.look(grey, self._R_world_camera)
-        uv, inverse_depths, information = (
-            np.empty((0, 2), np.float32), np.empty(0), np.empty(0))
-        covariance = np.zeros((3, 3))
-        if self._keyframe is not None and len(self._keyframe.found):
-            uv, inverse_depths, information = self._keyframe.carried()
-            covariance = self._keyframe.orientation_covariance()
-            uv[:, 0] = (uv[:, 0] - MARGIN_PX) % self._band.width + MARGIN_PX
-        new = self._band.corners(image, uv)
-        new = new[self._is_usable(self._band.bearings(new), self._R_world_camera)]
-        self._keyframe = Keyframe(
-            self._band, image, self._thumbnail, self._R_world_camera, covariance,
-            np.concatenate((uv, new)),
-            np.concatenate((inverse_depths, np.ones(len(new)))),
-            np.concatenate((information, np.full(len(new), PRIOR_INFORMATION))))
-        self._remember(self._keyframe)
+    def _add_keyframe(self, view, location):
+        """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
+        before = self._R_world_camera
+        sightings = [location.sightings(self._map.landmarks, location.agreeing),
+                     self._returning(view)]
+        sightings = Sightings.joined(sightings)
+        self._map.add_keyframe(before, self._position, self._covariance, view.thumbnail,
+                               sightings[np.argsort(sightings.id)])
+        self._map.adjust()
+        keyframe = self._map.keyframes[-1]
+        self._R_world_camera = Rotation.from_matrix(keyframe.R)
+        self._position = keyframe.position
+        self._R_out_world = self._R_out_world * before * self._R_world_camera.inv()
+        self._map.add_landmarks(view.grey, view.pyramid, self._usable_pixels())
+        self._map.shrink()
+        self._landmarks_at_keyframe = self._map.landmarks.active.sum()
 
-    def _remember(self, keyframe):
-        """Keep a keyframe in the pool, in place of the one that is most like its successor."""
-        self._pool.append(keyframe)
-        if len(self._pool) > POOL_SIZE:
-            unlike = [difference(a.thumbnail, b.thumbnail, b.R_world_camera.inv()
-                                 * a.R_world_camera) for a, b in zip(self._pool, self._pool[1:])]
-            # The first one is the world.
-            del self._pool[1 + int(np.argmin(unlike[1:]))]
+    def _returning(self, view):
+        """Wake landmarks at rest that are seen from here; return their Sightings."""
+        landmarks = self._map.landmarks
+        rows, points = look_for(
+            self._map, self._map.near(self._position, MAX_RETURNING), view.pyramid,
+            self._R_world_camera, self._position, self._is_usable)
+        b = self._map.directions(rows, self._position) @ self._R_world_camera.as_matrix()
+        sizes = np.linalg.norm(
+            np.einsum('kni,ni->kn', points.whitening, b - points.y), axis=0)
+        back = (sizes < RETURNING_SIZE) & (landmarks.agreed[rows] >= MATURE_FRAMES)
+        landmarks.active[rows[back]] = True
+        landmarks.missed[rows[back]] = 0
+        return Sightings(landmarks.id[rows[back]], points.y[back],
+                         np.moveaxis(points.whitening[:, back], 0, 1))
 
-    def _nearest(self, thumbnail, R_world_camera):
-        """Return the pool's keyframes that look like this picture, the oldest first."""
-        return [key for key in self._pool if difference(
-            key.thumbnail, thumbnail, R_world_camera.inv() * key.R_world_camera) < SAME_PLACE]
-
-    def _relocalise(self, grey, thumbnail):
-        """Return R_world_camera from the last keyframes, whatever the camera has done since."""
-        starts = []
-        for keyframe in self._pool[-MAX_CANDIDATES:]:
-            for yaw_rad in YAW_STARTS_RAD:
-                R_camera_key = align(keyframe.thumbnail, thumbnail,
-                                     Rotation.from_rotvec((0, yaw_rad, 0)))
-                unlike = difference(keyframe.thumbnail, thumbnail, R_camera_key)
-                starts.append((unlike, len(starts), keyframe, R_camera_key))
-        for _, _, keyframe, R_camera_key in sorted(starts)[:MAX_ATTEMPTS]:
-            keyframe.return_to()
-            R_world_camera = self._measure(
-                keyframe, grey, keyframe.R_world_camera * R_camera_key.inv())
-            if R_world_camera is not None:
-                self._keyframe = keyframe
-                self._R_out_world = Rotation.identity()
-                return R_world_camera
-        return None
-
-    def _is_usable(self, bearings, R_world_camera):
-        """Tell which bearings (N, 3) in the world are seen where the world is to be seen."""
-        in_camera = R_world_camera.inv().apply(bearings)
-        usable = ~_read(self._still.mask, in_camera)
+    def _is_usable(self, bearings):
+        """Tell which bearings (N, 3) of the camera show the world."""
+        usable = ~_read(self._still.mask, bearings)
         if self._used is not None:
-            usable &= _read(self._used, in_camera)
+            usable &= _read(self._used, bearings)
         return usable
+
+    def _usable_pixels(self):
+        """Return the pixels (H, W) bool where the world is to be seen."""
+        still = self._still.mask
+        if self._used is None:
+            return ~still
+        rows, columns = (np.arange(size) * of // size
+                         for size, of in zip(self._used.shape, still.shape))
+        return self._used & ~still[np.ix_(rows, columns)]
 
     def _turn_since(self, stamp_ns):
         """Return the turn R_last_camera expected since the last frame that showed something."""
@@ -252,9 +286,14 @@ class AnchoredTracker:
             return measured
         if self._angular_velocity_rad_s is None:
             return Rotation.identity()
+        return Rotation.from_rotvec(self._angular_velocity_rad_s * self._trusted_s(stamp_ns))
+
+    def _trusted_s(self, stamp_ns):
+        """Return the time since the last frame that showed something, as far as it is trusted."""
+        if self._stamp_ns is None:
+            return 0.
         elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
-        trusted_s = min(max(elapsed_s, 0), self._max_prediction_s)
-        return Rotation.from_rotvec(self._angular_velocity_rad_s * trusted_s)
+        return min(max(elapsed_s, 0.), self._max_prediction_s)
 
     def _measured_turn_since(self, stamp_ns):
         """Return the same as the gyro saw it, None where it did not."""
@@ -268,6 +307,12 @@ class AnchoredTracker:
         return TrackedOrientation(
             self._R_out_world * self._R_world_camera * self._turn_since(stamp_ns),
             TrackingStatus.PREDICTED if in_time else TrackingStatus.LOST)
+
+
+def _turned(covariance, R):
+    """Return a covariance (3, 3) in the frame that R turns into."""
+    R = R.as_matrix()
+    return R @ covariance @ R.T
 
 
 def _read(mask, bearings):

@@ -1,0 +1,145 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Where a camera is, by the landmarks that it sees."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sph_stab_ros.estimators.pose import (
+    fit_depths, fit_pose, fit_pose_among_movers, Points, PoseEstimate)
+from sph_stab_ros.trackers.patches import MAX_LATITUDE_RAD
+from sph_stab_ros.trackers.surroundings import Sightings, trusted
+
+MIN_POINTS = 20
+# A landmark has a say in the pose once it has agreed with the others for so many frames: who walks
+# by, or carries the camera, does not for long. Where hardly any has, all have.
+MATURE_FRAMES = 8
+MIN_MATURE = 40
+# Patches are found where they look the same, the search has settled, and not too far away.
+MIN_CORRELATION = 0.75
+MAX_LAST_STEP_PX = 0.5
+MAX_OFFSET_PX = 6.0
+# Nor is a patch that has shrunk or grown by more the same.
+MIN_DISTANCE, MAX_DISTANCE = 0.4, 3.0
+# A pose with which fewer of those that have a say agree is none.
+MIN_AGREEMENT = 0.3
+# A prediction that was off by more is taken up and the search made anew.
+GOOD_PREDICTION_RAD = np.deg2rad(0.5)
+MAX_ATTEMPTS = 3
+
+
+@dataclass(frozen=True)
+class Location:
+    """
+    A PoseEstimate by the landmarks in rows (N,), and Points (N) as they were seen.
+
+    ``agreeing`` (N,) bool tells which of them are where the pose says.
+    """
+
+    rows: np.ndarray
+    points: Points
+    pose: PoseEstimate
+    agreeing: np.ndarray
+
+    @property
+    def R_world_camera(self):
+        """Return the camera's orientation."""
+        return self.pose.R_camera_world.inv()
+
+    def sightings(self, landmarks, which):
+        """Return the Sightings of those in ``which`` (N,) bool."""
+        return Sightings(landmarks.id[self.rows[which]], self.points.y[which],
+                         np.moveaxis(self.points.whitening[:, which], 0, 1))
+
+
+def locate(surroundings, rows, pyramid, R_world_camera, position, position_sigma, is_usable):
+    """
+    Return the Location of a camera from a guess, None where it cannot be told.
+
+    Parameters
+    ----------
+    surroundings : Map
+    rows : (N,) int
+        Of the landmarks to look for, ascending.
+    pyramid : Pyramid
+        The camera's picture.
+    R_world_camera : Rotation
+    position : (3,)
+        The guess.
+    position_sigma : float
+        Standard deviation of the latter.
+    is_usable : callable
+        Tells of bearings (N, 3) in the camera which to use.
+
+    """
+    guess = position
+    for _ in range(MAX_ATTEMPTS):
+        found, points = look_for(
+            surroundings, rows, pyramid, R_world_camera, guess, is_usable)
+        if len(found) < MIN_POINTS:
+            return None
+        mature = surroundings.landmarks.agreed[found] >= MATURE_FRAMES
+        if mature.sum() >= MIN_MATURE:
+            pose = fit_depths(points, fit_pose(
+                points[mature], R_world_camera.inv(), position, position_sigma))
+        else:
+            mature[:] = True
+            pose = fit_pose_among_movers(
+                points, R_world_camera.inv(), position, position_sigma)
+        agreeing = trusted(pose.sizes, pose.scale)
+        if agreeing[mature].mean() < MIN_AGREEMENT or agreeing.sum() < MIN_POINTS:
+            return None
+        off_rad = (pose.R_camera_world * R_world_camera).magnitude()
+        R_world_camera, guess = pose.R_camera_world.inv(), pose.position
+        if off_rad < GOOD_PREDICTION_RAD:
+            break
+    return Location(found, points, pose, agreeing)
+
+
+def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable):
+    """Return which of the landmarks in rows are found from a guessed pose, and as what Points."""
+    R, origins = surroundings.hosts(rows)
+    landmarks = surroundings.landmarks
+    x = np.einsum('nij,nj->ni', R, landmarks.x[rows])
+    z = x - landmarks.inverse_depth[rows, None] * (position - origins)
+    distance = np.linalg.norm(z, axis=1)
+    b = z / distance[:, None]
+    R_world_camera = R_world_camera.as_matrix()
+    expected = b @ R_world_camera
+    seen = np.flatnonzero(
+        (np.abs(expected[:, 1]) < np.sin(MAX_LATITUDE_RAD)) & is_usable(expected)
+        & (distance > MIN_DISTANCE) & (distance < MAX_DISTANCE))
+    rows, R, x, b, origins, expected, distance = (
+        one[seen] for one in (rows, R, x, b, origins, expected, distance))
+    # Tangents go along from x to b without a twist.
+    east = np.einsum('nij,nj->ni', R, landmarks.east[rows])
+    east -= (np.einsum('ni,ni->n', east, b)
+             / (1 + np.einsum('ni,ni->n', x, b)))[:, None] * (x + b)
+    east = east @ R_world_camera
+    south = np.cross(expected, east)
+    patches = landmarks.patches[rows]
+    offsets, correlation, last_step_px = patches.find(
+        pyramid, expected, east, south, 1 / distance)
+    found = ((correlation > MIN_CORRELATION) & (last_step_px < MAX_LAST_STEP_PX)
+             & (np.linalg.norm(offsets, axis=1) * pyramid.px_per_rad() < MAX_OFFSET_PX))
+    rows, offsets, expected, east, south = (
+        one[found] for one in (rows, offsets, expected, east, south))
+    y = expected + offsets[:, :1] * east + offsets[:, 1:] * south
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    whitening = np.einsum('nij,jnk->ink', patches.root_information[found] * pyramid.px_per_rad(),
+                          np.stack((east, south)))
+    return rows, Points(x[found], origins[found], landmarks.inverse_depth[rows],
+                        landmarks.information[rows], y, whitening)

@@ -1,0 +1,226 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""What the tracker knows of its surroundings: keyframes, and the landmarks seen from them."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from sph_stab_ros.equirect import bearings_from_pixels, pixels_from_bearings
+from sph_stab_ros.estimators.bundle import adjust, Window
+from sph_stab_ros.estimators.pose import cauchy_weights
+from sph_stab_ros.trackers.patches import MAX_LATITUDE_RAD, Patches
+from sph_stab_ros.trackers.rows import Rows
+from sph_stab_ros.trackers.thumbnail import Thumbnail
+
+MAX_LANDMARKS = 300
+MIN_DISTANCE_PX = 9
+MIN_CORNER_QUALITY = 5e-3
+MIN_CONTRAST = 4.0
+# The unit of length is such that new landmarks are at distance 1 in the beginning; their inverse
+# depth is known by this much.
+FIRST_INFORMATION = 0.3
+MAX_INFORMATION = 1e5
+# Sightings' errors are alike from keyframe to keyframe: what they tell about depths counts half.
+TRUSTED_INFORMATION = 0.5
+# Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks.
+ADJUSTED_KEYFRAMES = 8
+FIXED_KEYFRAMES = 10
+MAX_KEYFRAMES = 48
+# A landmark whose sightings are trusted less than this on average is none.
+MIN_TRUST = 0.15
+# The window's covariance takes sightings for independent, which they are not.
+COVARIANCE_INFLATION = 4.0
+
+
+@dataclass
+class Landmarks(Rows):
+    """
+    N things to be seen again; each belongs to the keyframe in which its patch was cut, its host.
+
+    ``id`` (N,) rises; ``host`` (N,) is the keyframe's id, ``x``, ``east``, ``south`` (N, 3) the
+    bearing and the patch's tangents in the host's camera, ``inverse_depth`` and ``information``
+    (N,) as counted from there. ``agreed`` (N,) is for how many frames it has lately agreed with
+    the others, ``missed`` (N,) for how many it has not been seen, ``active`` (N,) bool whether it
+    is looked for.
+    """
+
+    id: np.ndarray
+    host: np.ndarray
+    x: np.ndarray
+    east: np.ndarray
+    south: np.ndarray
+    inverse_depth: np.ndarray
+    information: np.ndarray
+    agreed: np.ndarray
+    missed: np.ndarray
+    active: np.ndarray
+    patches: Patches
+
+
+@dataclass
+class Sightings(Rows):
+    """Landmarks' ids (N,), ascending, bearings y (N, 3) in the camera, whitening (N, 2, 3)."""
+
+    id: np.ndarray
+    y: np.ndarray
+    whitening: np.ndarray
+
+
+@dataclass
+class Keyframe:
+    """R_world_camera (3, 3), position (3,), covariance (3, 3) of the former, what was seen."""
+
+    id: int
+    R: np.ndarray
+    position: np.ndarray
+    covariance: np.ndarray
+    thumbnail: Thumbnail
+    sightings: Sightings
+
+
+@dataclass
+class Map:
+    """Keyframes, oldest first, and landmarks; both are few, however long the recording is."""
+
+    keyframes: list[Keyframe] = field(default_factory=list)
+    landmarks: Landmarks | None = None
+    _next_keyframe: int = 0
+    _next_landmark: int = 0
+
+    def hosts(self, rows):
+        """Return R (N, 3, 3) and positions (N, 3) of the hosts of the landmarks in rows."""
+        index = np.searchsorted([one.id for one in self.keyframes], self.landmarks.host[rows])
+        return (np.array([one.R for one in self.keyframes])[index],
+                np.array([one.position for one in self.keyframes])[index])
+
+    def directions(self, rows, position):
+        """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
+        R, origins = self.hosts(rows)
+        z = (np.einsum('nij,nj->ni', R, self.landmarks.x[rows])
+             - self.landmarks.inverse_depth[rows, None] * (position - origins))
+        return z / np.linalg.norm(z, axis=1, keepdims=True)
+
+    def add_keyframe(self, R_world_camera, position, covariance, thumbnail, sightings):
+        """Add a Keyframe from which Sightings were made."""
+        self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
+                                       covariance, thumbnail, sightings))
+        self._next_keyframe += 1
+
+    def add_landmarks(self, grey, pyramid, usable):
+        """
+        Add landmarks at corners of the last keyframe's picture, where there are none yet.
+
+        ``usable`` (h, w) bool tells, in any resolution, where landmarks may be.
+        """
+        keyframe = self.keyframes[-1]
+        width = pyramid.width
+        free = cv2.resize(np.uint8(usable), grey.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        edge = round(width * (0.25 - MAX_LATITUDE_RAD / (2 * np.pi))) + MIN_DISTANCE_PX
+        free[:edge] = free[-edge:] = 0
+        wanted, inverse_depth = MAX_LANDMARKS, 1.
+        if self.landmarks is not None:
+            active = np.flatnonzero(self.landmarks.active)
+            wanted -= len(active)
+            if len(active):
+                inverse_depth = max(np.median(self.landmarks.inverse_depth[active]), 1e-3)
+            there = self.directions(active, keyframe.position) @ keyframe.R
+            for u, v in np.rint(pixels_from_bearings(there, width)).astype(int).tolist():
+                cv2.circle(free, (u, v), MIN_DISTANCE_PX, 0, -1)
+        uv = None if wanted <= 0 else cv2.goodFeaturesToTrack(
+            cv2.GaussianBlur(grey, (0, 0), 0.8), wanted, MIN_CORNER_QUALITY, MIN_DISTANCE_PX,
+            mask=free, blockSize=7)
+        if uv is None:
+            return
+        x = bearings_from_pixels(np.float64(uv[:, 0]), width)
+        east = np.cross((0., 1., 0.), x)
+        east /= np.linalg.norm(east, axis=1, keepdims=True)
+        south = np.cross(x, east)
+        patches = Patches.cut(pyramid, x, east, south)
+        good = patches.deviations[:, 0] > MIN_CONTRAST
+        n = good.sum()
+        new = Landmarks(
+            self._next_landmark + np.arange(n), np.full(n, keyframe.id), x[good], east[good],
+            south[good], np.full(n, inverse_depth),
+            np.full(n, FIRST_INFORMATION / inverse_depth ** 2), np.zeros(n, int),
+            np.zeros(n, int), np.ones(n, bool), patches[good])
+        self._next_landmark += n
+        self.landmarks = (new if self.landmarks is None
+                          else Landmarks.joined((self.landmarks, new)))
+
+    def adjust(self):
+        """Adjust the last keyframes and what they saw; give up what does not fit."""
+        first = max(len(self.keyframes) - ADJUSTED_KEYFRAMES, 1)
+        ids = np.unique(np.concatenate([one.sightings.id for one in self.keyframes[first:]]))
+        ids = ids[np.isin(ids, self.landmarks.id)]
+        if not len(ids):
+            return
+        rows = np.searchsorted(self.landmarks.id, ids)
+        shared = [np.isin(one.sightings.id, ids, assume_unique=True)
+                  for one in self.keyframes]
+        witnesses = [index for index in np.argsort([-one.sum() for one in shared[:first]],
+                                                   kind='stable')[:FIXED_KEYFRAMES]]
+        used = [*sorted(witnesses), *range(first, len(self.keyframes))]
+        seen = Sightings.joined([self.keyframes[i].sightings[shared[i]] for i in used])
+        keyframe = np.repeat(used, [shared[i].sum() for i in used])
+        point = np.searchsorted(ids, seen.id)
+        self_host = np.searchsorted([one.id for one in self.keyframes], self.landmarks.host[rows])
+        adjusted = adjust(Window(
+            np.array([one.R for one in self.keyframes]),
+            np.array([one.position for one in self.keyframes]),
+            np.arange(len(self.keyframes)) >= first, self_host, self.landmarks.x[rows],
+            self.landmarks.inverse_depth[rows], np.full(len(rows), 0.1 * FIRST_INFORMATION),
+            keyframe, point, seen.y, seen.whitening), keep_distance=first == 1)
+        base = self.keyframes[first - 1].covariance
+        for i, one in enumerate(self.keyframes[first:]):
+            one.R, one.position = adjusted.R[first + i], adjusted.p[first + i]
+            block = slice(6 * i, 6 * i + 3)
+            one.covariance = base + COVARIANCE_INFLATION * adjusted.covariance[block, block]
+        self.landmarks.inverse_depth[rows] = adjusted.inverse_depths
+        self.landmarks.information[rows] = np.minimum(
+            TRUSTED_INFORMATION * adjusted.information, MAX_INFORMATION)
+        count = np.bincount(point, minlength=len(rows))
+        trust = np.bincount(point, adjusted.weights, len(rows)) / np.maximum(count, 1)
+        self._keep(~np.isin(self.landmarks.id, ids[(trust < MIN_TRUST) & (count > 1)]))
+
+    def shrink(self):
+        """Drop one keyframe where there are too many, with the landmarks that it hosts."""
+        if len(self.keyframes) <= MAX_KEYFRAMES:
+            return
+        # The world's and those being adjusted stay. Of the others one goes that has another one
+        # near.
+        old = self.keyframes[1:-ADJUSTED_KEYFRAMES]
+        positions = np.array([one.position for one in old])
+        distance = np.linalg.norm(positions[:, None] - positions, axis=2)
+        distance[np.diag_indices_from(distance)] = np.inf
+        dropped = old[int(np.argmin(distance.min(axis=1)))]
+        self.keyframes.remove(dropped)
+        self._keep(self.landmarks.host != dropped.id)
+
+    def near(self, position, count):
+        """Return rows of up to ``count`` landmarks at rest whose hosts are nearest, ascending."""
+        resting = np.flatnonzero(~self.landmarks.active)
+        _, origins = self.hosts(resting)
+        distance = np.linalg.norm(origins - position, axis=1)
+        return np.sort(resting[np.argsort(distance, kind='stable')[:count]])
+
+    def _keep(self, kept):
+        self.landmarks = self.landmarks[kept]
+
+
+def trusted(sizes, scale):
+    """Tell which whitened residuals of such sizes (N,) are worth more than a quarter."""
+    return cauchy_weights(sizes, scale) > 0.25
