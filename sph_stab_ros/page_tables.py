@@ -62,6 +62,16 @@ def times(results):
                               for result in results))
 
 
+def beside(results):
+    """Yield the rows of a table of errors of several recordings, a column for each."""
+    yield ('geodesic: mean; per frame: median', *(result['recording'] for result in results))
+    for name in results[0]['estimators']:
+        estimates = [result['estimators'][name] for result in results]
+        yield (f'`{name}`', *(f'{_degrees(one["geodesic_deg"], "mean")}; '
+                              f'{_degrees(one["per_frame_deg"], "median", digits=3)}'
+                              for one in estimates))
+
+
 def paper(results):
     """Yield the rows of a table of mean absolute errors beside the paper's."""
     result, = results
@@ -96,8 +106,8 @@ def injected(results):
                        _degrees(one['per_frame_deg'], 'median', 'max', digits=3))
 
 
-TABLES = {'errors': errors, 'times': times, 'paper': paper, 'over_time': over_time,
-          'injected': injected}
+TABLES = {'errors': errors, 'beside': beside, 'times': times, 'paper': paper,
+          'over_time': over_time, 'injected': injected}
 
 
 def filled(page, folder):

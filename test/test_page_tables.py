@@ -49,6 +49,7 @@ def folder(tmp_path):
 @pytest.mark.parametrize('block, said', [
     ('errors drone',
      '| `pts` | 1.00, 2.00, 3.00° | 4.00, 5.00, 6.00° | 0.700, 0.900° | 1 of 100 |'),
+    ('beside drone walk', '| `pts` | 4.00°; 0.700° | 8.00°; 1.400° |'),
     ('times drone walk', '| `moment/dis` | 10 ms | 21 ms |'),
     ('paper drone', '| `pts` | 6.29, 4.09, 9.84° | 1.00, 2.00, 3.00° | 1.00, 2.00, 3.00° |'),
     ('over_time walk', '| geodesic after | 60 s | 120 s |'),
