@@ -33,7 +33,7 @@ const NO_CONTROL = {
   taken: 'Another operator steers: take control first.',
 };
 // What the server tells, as long as it tells nothing.
-const UNTOLD = {control: 'none', robot: null, rate_hz: null, latency_ms: null};
+const UNTOLD = {control: 'none', robot: null, rate_hz: null, latency_ms: null, wantedMode: null};
 
 const canvas = $('picture');
 const state = {
@@ -160,7 +160,8 @@ function showState() {
     // Unlike a disabled button one can still come to it by keyboard and hear why it does nothing.
     $(id).setAttribute('aria-disabled', control !== 'yours' || !possible);
   }
-  showModes(robot?.modes ?? [], robot?.mode, control === 'yours');
+  // The mode asked for is shown at once, until the answer is there.
+  showModes(robot?.modes ?? [], state.wantedMode ?? robot?.mode, control === 'yours');
   showSituation();
 }
 
@@ -187,6 +188,7 @@ function showModes(modes, mode, steering) {
 }
 
 function takeNotice({text, ok, done}) {
+  state.wantedMode = null;
   if (done === 'ResetHeading') look.centre();
   show(text, ok);
 }
@@ -225,21 +227,23 @@ function setIcon(element, icon) {
 
 // What the operator does.
 
-// Asks the robot for something, or says why it would be in vain.
+// Asks the robot for something, or says why it would be in vain; tells whether it has asked.
 function ask(command, possible, values) {
-  if (state.control !== 'yours') show(NO_CONTROL[state.control], false);
-  else if (possible) connection.send(command, values);
-  else show(state.robot.tracking ? 'This stabilizer does not offer that.'
-    : 'The stabilizer does not answer.', false);
+  if (state.control === 'yours' && possible) return connection.send(command, values);
+  show(state.control !== 'yours' ? NO_CONTROL[state.control]
+    : state.robot.tracking ? 'This stabilizer does not offer that.'
+      : 'The stabilizer does not answer.', false);
+  return false;
 }
 
 function setMode(mode) {
-  ask('set_mode', state.robot?.modes.length, {mode});
+  if (ask('set_mode', state.robot?.modes.length, {mode})) state.wantedMode = mode;
+  showState();
 }
 
 function nextMode() {
   const {modes, mode} = state.robot ?? {modes: []};
-  setMode(modes[(modes.indexOf(mode) + 1) % modes.length]);
+  setMode(modes[(modes.indexOf(state.wantedMode ?? mode) + 1) % modes.length]);
 }
 
 function takeControl() {
