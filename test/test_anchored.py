@@ -21,10 +21,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import bearing_grid
+from sph_stab_ros.trackers import surroundings
 from sph_stab_ros.trackers.anchored import AnchoredTracker
 from sph_stab_ros.trackers.base import TrackingStatus
 from sph_stab_ros.trackers.still_pixels import StillPixels
-from sph_stab_ros.trackers.surroundings import MAX_KEYFRAMES
 from synthetic import angle_deg, random_rotation, unit
 
 WIDTH = 320
@@ -207,13 +207,18 @@ def test_without_a_turn_nothing_is_said_to_stand_still():
     assert not still.mask.any()
 
 
-def test_memory_does_not_grow():
-    tracker = AnchoredTracker(128)
-    rng = np.random.default_rng(6)
-    for i in range(MAX_KEYFRAMES + 10):
-        position = (0.07 * i - 1.4, rng.uniform(-0.3, 0.3), rng.uniform(-0.8, 0.8))
-        tracker.track(room(Rotation.identity(), position, 128), i * PERIOD_NS)
-    assert tracker.keyframes_kept == MAX_KEYFRAMES
+def test_memory_does_not_grow(monkeypatch):
+    monkeypatch.setattr(surroundings, 'MAX_KEYFRAMES', 12)
+    tracker = AnchoredTracker(256)
+    kept = []
+    for i in range(60):
+        to_and_fro = 0.07 * (30 - abs(i - 30)) - 1
+        image = room(Rotation.identity(), (to_and_fro, 0.1, 0.3 * np.sin(i / 5)), 256)
+        assert tracker.track(image, i * PERIOD_NS).status is TrackingStatus.OK
+        kept.append((tracker.keyframes_kept, tracker.landmarks_kept))
+    keyframes, landmarks = np.transpose(kept)
+    assert keyframes.max() == keyframes[-1] == 12
+    assert landmarks.max() < 12 * surroundings.MAX_LANDMARKS
 
 
 def test_the_covariance_is_that_of_the_errors():

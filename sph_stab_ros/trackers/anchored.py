@@ -49,6 +49,7 @@ RETURNING_SIZE = 8.0
 # How far the camera moves against a prediction, in the unit of the map, per second.
 POSITION_SIGMA_PER_S = 0.6
 MIN_POSITION_SIGMA = 0.02
+INERTIA = 0.8
 # After a loss the last keyframes are tried, from these headings.
 MAX_CANDIDATES = 6
 YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
@@ -112,6 +113,11 @@ class AnchoredTracker:
         """Return the number of keyframes in the map."""
         return len(self._map.keyframes)
 
+    @property
+    def landmarks_kept(self):
+        """Return the number of landmarks in the map."""
+        return 0 if self._map.landmarks is None else len(self._map.landmarks)
+
     def track(self, grey, stamp_ns):
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         if not has_texture(grey):
@@ -158,7 +164,7 @@ class AnchoredTracker:
         return locate(
             self._map, np.flatnonzero(self._map.landmarks.active), view.pyramid,
             self._R_world_camera * R_camera_last.inv(),
-            self._position + elapsed_s * self._velocity_per_s,
+            self._position + INERTIA * elapsed_s * self._velocity_per_s,
             max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._is_usable)
 
     def _relocate(self, view):
