@@ -64,7 +64,7 @@ def some_patches(count):
 def add_points(surroundings, x, rho, ids):
     """Let the last keyframe host landmarks along x (N, 3) in its camera, at known depths."""
     n = len(ids)
-    new = Landmarks(ids, np.full(n, surroundings.keyframes[-1].id), x, x, x, rho, np.ones(n),
+    new = Landmarks(ids, np.full(n, surroundings.keyframes[-1].number), x, x, x, rho, np.ones(n),
                     np.zeros(n, int), np.zeros(n, int), np.ones(n, bool), some_patches(n))
     known = surroundings.landmarks
     surroundings.landmarks = new if known is None else Landmarks.joined((known, new))
@@ -75,7 +75,7 @@ def seen_from(surroundings, R, position):
     rows = np.arange(len(surroundings.landmarks))
     y = R.inv().apply(surroundings.directions(rows, position))
     first = unit(np.cross(y, (0.3, 0.5, 0.8)))
-    return Sightings(surroundings.landmarks.id.copy(), y,
+    return Sightings(surroundings.landmarks.number.copy(), y,
                      np.stack((first, np.cross(y, first)), axis=1) / SIGMA_RAD)
 
 
@@ -107,7 +107,7 @@ def distances_px(uv):
 def test_landmarks_are_new_rising_and_at_the_corners_of_their_host():
     landmarks = started().landmarks
     assert 100 < len(landmarks) <= MAX_LANDMARKS
-    assert (np.diff(landmarks.id) > 0).all()
+    assert (np.diff(landmarks.number) > 0).all()
     assert (landmarks.host == 0).all() and landmarks.active.all()
     axes = np.stack((landmarks.x, landmarks.east, landmarks.south), axis=1)
     np.testing.assert_allclose(axes @ np.swapaxes(axes, 1, 2) - np.eye(3), 0, atol=1e-9)
@@ -134,7 +134,7 @@ def test_new_landmarks_keep_away_from_those_that_are_looked_for():
     new = landmarks.host == 1
     assert new.sum() > 30
     assert landmarks.active.sum() <= MAX_LANDMARKS
-    assert landmarks.id[new].min() > landmarks.id[~new].max()
+    assert landmarks.number[new].min() > landmarks.number[~new].max()
     there = pixels_from_bearings(R.inv().apply(landmarks.x[active]), WIDTH)
     distance = np.linalg.norm(there[:, None] - pixels(landmarks[new]), axis=2)
     # Pixels are whole.
@@ -192,7 +192,7 @@ def test_the_map_stays_small_and_keeps_its_first_and_last_keyframes():
         add_keyframe(surroundings, position=rng.normal(size=3))
         add_points(surroundings, unit(rng.normal(size=(2, 3))), np.ones(2), 2 * i + np.arange(2))
         surroundings.shrink()
-        ids = [one.id for one in surroundings.keyframes]
+        ids = [one.number for one in surroundings.keyframes]
         assert len(ids) == min(i + 1, MAX_KEYFRAMES)
         assert ids[0] == 0
         assert ids[-ADJUSTED_KEYFRAMES:] == list(range(i + 1))[-ADJUSTED_KEYFRAMES:]
@@ -208,7 +208,7 @@ def test_of_many_keyframes_one_goes_that_has_another_one_near():
     for position in positions:
         add_keyframe(surroundings, position=position)
     surroundings.shrink()
-    ids = {one.id for one in surroundings.keyframes}
+    ids = {one.number for one in surroundings.keyframes}
     gone = set(range(MAX_KEYFRAMES + 1)) - ids
     assert len(gone) == 1 and gone <= {20, 21}
 
@@ -218,7 +218,7 @@ def test_landmarks_are_found_in_the_direction_and_at_the_depth_they_are():
     surroundings = travelled(rng, MAX_KEYFRAMES + 4, points=3)
     rows = rng.permutation(len(surroundings.landmarks))[:20]
     position = rng.normal(size=3)
-    keyframes = {one.id: one for one in surroundings.keyframes}
+    keyframes = {one.number: one for one in surroundings.keyframes}
     for row, direction in zip(rows, surroundings.directions(rows, position)):
         one = surroundings.landmarks[row:row + 1]
         host = keyframes[one.host[0]]
@@ -274,7 +274,7 @@ def test_disturbed_keyframes_and_landmarks_come_back(count):
         assert angle_deg(Rotation.from_matrix(one.R), Rotation.from_matrix(R)) < 0.01
         np.testing.assert_allclose(one.position, ratio * position, atol=2e-3)
     assert len(surroundings.landmarks) == len(true_depths)
-    hosted = surroundings.landmarks.host < keyframes[-1].id
+    hosted = surroundings.landmarks.host < keyframes[-1].number
     error = surroundings.landmarks.inverse_depth * ratio - true_depths
     assert np.median(np.abs(error[hosted])) < 2e-3
 
@@ -285,12 +285,12 @@ def test_landmarks_that_go_their_own_way_are_given_up():
     truth = [one.R for one in surroundings.keyframes]
     wrong = np.arange(5, 60, 7)
     for one in surroundings.keyframes[1:]:
-        moving = np.isin(one.sightings.id, wrong)
+        moving = np.isin(one.sightings.number, wrong)
         one.sightings.y[moving] = unit(
             one.sightings.y[moving] + rng.normal(0, 0.1, (moving.sum(), 3)))
-    before = surroundings.landmarks.id
+    before = surroundings.landmarks.number
     surroundings.adjust()
-    np.testing.assert_array_equal(surroundings.landmarks.id, np.setdiff1d(before, wrong))
+    np.testing.assert_array_equal(surroundings.landmarks.number, np.setdiff1d(before, wrong))
     # From now on they have no say, though they were seen.
     surroundings.adjust()
     for one, true in zip(surroundings.keyframes, truth):

@@ -143,6 +143,7 @@ class _Equations:
 
 
 class _Problem:
+
     def __init__(self, window, keep_distance):
         self._window = window
         self._count = int(window.free.sum())
@@ -154,7 +155,8 @@ class _Problem:
         self._by_point = sparse.csr_matrix(
             (np.ones(len(sightings)), (window.point, sightings)),
             shape=(len(window.x), len(sightings)))
-        self._keep_distance = keep_distance
+        distance = np.linalg.norm(window.p[-1])
+        self._kept_along = window.p[-1] / distance if keep_distance and distance > 0 else None
 
     def look(self, R, p, rho):
         window = self._window
@@ -196,10 +198,8 @@ class _Problem:
         wJ = w[:, None, None] * J
         flat = wJ.reshape(2 * len(M), -1)
         H = flat.T @ J.reshape(2 * len(M), -1)
-        if self._keep_distance:
-            last = slice(len(H) - 3, None)
-            away = p[-1] / np.linalg.norm(p[-1])
-            H[last, last] += GAUGE_INFORMATION * np.outer(away, away)
+        if self._kept_along is not None:
+            H[-3:, -3:] += GAUGE_INFORMATION * np.outer(self._kept_along, self._kept_along)
         return _Equations(
             H, flat.T @ seen.r.ravel(), self._by_point @ np.einsum('mkn,mk->mn', wJ, J_rho),
             window.information + self._by_point @ (w * np.einsum('mk,mk->m', J_rho, J_rho)),

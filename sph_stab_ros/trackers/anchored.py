@@ -41,7 +41,7 @@ from sph_stab_ros.trajectory import NS_PER_S
 MIN_SURVIVORS = 0.4
 MAX_PARALLAX_RAD = 0.04
 # Landmarks are put to rest when they are missed for so many frames, or disagree for as many.
-MAX_MISSED = 3
+MAX_MISSED = 6
 MIN_AGREED, DISAGREEING = -5, -2
 # At a keyframe so many of those at rest are looked for; they are back within this much.
 MAX_RETURNING = 300
@@ -180,8 +180,8 @@ class AnchoredTracker:
                 starts.append((unlike, len(starts), keyframe, R_camera_key))
         landmarks = self._map.landmarks
         for _, _, keyframe, R_camera_key in sorted(starts)[:MAX_ATTEMPTS]:
-            rows = np.flatnonzero((landmarks.host == keyframe.id)
-                                  | np.isin(landmarks.id, keyframe.sightings.id))
+            rows = np.flatnonzero((landmarks.host == keyframe.number)
+                                  | np.isin(landmarks.number, keyframe.sightings.number))
             location = locate(
                 self._map, rows, view.pyramid,
                 Rotation.from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
@@ -244,7 +244,7 @@ class AnchoredTracker:
                      self._returning(view)]
         sightings = Sightings.joined(sightings)
         self._map.add_keyframe(before, self._position, self._covariance, view.thumbnail,
-                               sightings[np.argsort(sightings.id)])
+                               sightings[np.argsort(sightings.number)])
         self._map.adjust()
         keyframe = self._map.keyframes[-1]
         self._R_world_camera = Rotation.from_matrix(keyframe.R)
@@ -266,7 +266,7 @@ class AnchoredTracker:
         back = (sizes < RETURNING_SIZE) & (landmarks.agreed[rows] >= MATURE_FRAMES)
         landmarks.active[rows[back]] = True
         landmarks.missed[rows[back]] = 0
-        return Sightings(landmarks.id[rows[back]], points.y[back],
+        return Sightings(landmarks.number[rows[back]], points.y[back],
                          np.moveaxis(points.whitening[:, back], 0, 1))
 
     def _is_usable(self, bearings):

@@ -61,7 +61,7 @@ class Location:
 
     def sightings(self, landmarks, which):
         """Return the Sightings of those in ``which`` (N,) bool."""
-        return Sightings(landmarks.id[self.rows[which]], self.points.y[which],
+        return Sightings(landmarks.number[self.rows[which]], self.points.y[which],
                          np.moveaxis(self.points.whitening[:, which], 0, 1))
 
 
@@ -72,13 +72,15 @@ def locate(surroundings, rows, pyramid, R_world_camera, position, position_sigma
     Parameters
     ----------
     surroundings : Map
+        What is known.
     rows : (N,) int
         Of the landmarks to look for, ascending.
     pyramid : Pyramid
         The camera's picture.
     R_world_camera : Rotation
-    position : (3,)
         The guess.
+    position : (3,)
+        The same.
     position_sigma : float
         Standard deviation of the latter.
     is_usable : callable

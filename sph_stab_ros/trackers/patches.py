@@ -122,6 +122,7 @@ class Patches(Rows):
         Parameters
         ----------
         pyramid : Pyramid
+            Of the picture.
         expected, east, south : (N, 3)
             Where to look first, in the camera, and the patches' tangents there.
         scale : (N,)

@@ -26,7 +26,7 @@ from sph_stab_ros.trackers.patches import MAX_LATITUDE_RAD, Patches
 from sph_stab_ros.trackers.rows import Rows
 from sph_stab_ros.trackers.thumbnail import Thumbnail
 
-MAX_LANDMARKS = 300
+MAX_LANDMARKS = 450
 MIN_DISTANCE_PX = 9
 MIN_CORNER_QUALITY = 5e-3
 MIN_CONTRAST = 4.0
@@ -51,14 +51,14 @@ class Landmarks(Rows):
     """
     N things to be seen again; each belongs to the keyframe in which its patch was cut, its host.
 
-    ``id`` (N,) rises; ``host`` (N,) is the keyframe's id, ``x``, ``east``, ``south`` (N, 3) the
+    ``number`` (N,) rises; ``host`` (N,) is the keyframe's, ``x``, ``east``, ``south`` (N, 3) the
     bearing and the patch's tangents in the host's camera, ``inverse_depth`` and ``information``
     (N,) as counted from there. ``agreed`` (N,) is for how many frames it has lately agreed with
     the others, ``missed`` (N,) for how many it has not been seen, ``active`` (N,) bool whether it
     is looked for.
     """
 
-    id: np.ndarray
+    number: np.ndarray
     host: np.ndarray
     x: np.ndarray
     east: np.ndarray
@@ -73,9 +73,9 @@ class Landmarks(Rows):
 
 @dataclass
 class Sightings(Rows):
-    """Landmarks' ids (N,), ascending, bearings y (N, 3) in the camera, whitening (N, 2, 3)."""
+    """Landmarks' numbers (N,), ascending, bearings y (N, 3) in the camera, whitening (N, 2, 3)."""
 
-    id: np.ndarray
+    number: np.ndarray
     y: np.ndarray
     whitening: np.ndarray
 
@@ -84,7 +84,7 @@ class Sightings(Rows):
 class Keyframe:
     """R_world_camera (3, 3), position (3,), covariance (3, 3) of the former, what was seen."""
 
-    id: int
+    number: int
     R: np.ndarray
     position: np.ndarray
     covariance: np.ndarray
@@ -103,7 +103,7 @@ class Map:
 
     def hosts(self, rows):
         """Return R (N, 3, 3) and positions (N, 3) of the hosts of the landmarks in rows."""
-        index = np.searchsorted([one.id for one in self.keyframes], self.landmarks.host[rows])
+        index = np.searchsorted([one.number for one in self.keyframes], self.landmarks.host[rows])
         return (np.array([one.R for one in self.keyframes])[index],
                 np.array([one.position for one in self.keyframes])[index])
 
@@ -139,7 +139,9 @@ class Map:
                 inverse_depth = max(np.median(self.landmarks.inverse_depth[active]), 1e-3)
             there = self.directions(active, keyframe.position) @ keyframe.R
             for u, v in np.rint(pixels_from_bearings(there, width)).astype(int).tolist():
-                cv2.circle(free, (u, v), MIN_DISTANCE_PX, 0, -1)
+                # On both sides of the seam.
+                for turned in (u - width, u, u + width):
+                    cv2.circle(free, (turned, v), MIN_DISTANCE_PX, 0, -1)
         uv = None if wanted <= 0 else cv2.goodFeaturesToTrack(
             cv2.GaussianBlur(grey, (0, 0), 0.8), wanted, MIN_CORNER_QUALITY, MIN_DISTANCE_PX,
             mask=free, blockSize=7)
@@ -153,7 +155,7 @@ class Map:
         good = patches.deviations[:, 0] > MIN_CONTRAST
         n = good.sum()
         new = Landmarks(
-            self._next_landmark + np.arange(n), np.full(n, keyframe.id), x[good], east[good],
+            self._next_landmark + np.arange(n), np.full(n, keyframe.number), x[good], east[good],
             south[good], np.full(n, inverse_depth),
             np.full(n, FIRST_INFORMATION / inverse_depth ** 2), np.zeros(n, int),
             np.zeros(n, int), np.ones(n, bool), patches[good])
@@ -164,24 +166,23 @@ class Map:
     def adjust(self):
         """Adjust the last keyframes and what they saw; give up what does not fit."""
         first = max(len(self.keyframes) - ADJUSTED_KEYFRAMES, 1)
-        ids = np.unique(np.concatenate([one.sightings.id for one in self.keyframes[first:]]))
-        ids = ids[np.isin(ids, self.landmarks.id)]
-        if not len(ids):
+        seen_lately = np.concatenate([one.sightings.number for one in self.keyframes[first:]])
+        numbers = np.intersect1d(seen_lately, self.landmarks.number)
+        if not len(numbers):
             return
-        rows = np.searchsorted(self.landmarks.id, ids)
-        shared = [np.isin(one.sightings.id, ids, assume_unique=True)
+        rows = np.searchsorted(self.landmarks.number, numbers)
+        shared = [np.isin(one.sightings.number, numbers, assume_unique=True)
                   for one in self.keyframes]
-        witnesses = [index for index in np.argsort([-one.sum() for one in shared[:first]],
-                                                   kind='stable')[:FIXED_KEYFRAMES]]
-        used = [*sorted(witnesses), *range(first, len(self.keyframes))]
+        witnesses = np.argsort([-one.sum() for one in shared[:first]], kind='stable')
+        used = [*sorted(witnesses[:FIXED_KEYFRAMES]), *range(first, len(self.keyframes))]
         seen = Sightings.joined([self.keyframes[i].sightings[shared[i]] for i in used])
         keyframe = np.repeat(used, [shared[i].sum() for i in used])
-        point = np.searchsorted(ids, seen.id)
-        self_host = np.searchsorted([one.id for one in self.keyframes], self.landmarks.host[rows])
+        point = np.searchsorted(numbers, seen.number)
+        host = np.searchsorted([one.number for one in self.keyframes], self.landmarks.host[rows])
         adjusted = adjust(Window(
             np.array([one.R for one in self.keyframes]),
             np.array([one.position for one in self.keyframes]),
-            np.arange(len(self.keyframes)) >= first, self_host, self.landmarks.x[rows],
+            np.arange(len(self.keyframes)) >= first, host, self.landmarks.x[rows],
             self.landmarks.inverse_depth[rows], np.full(len(rows), 0.1 * FIRST_INFORMATION),
             keyframe, point, seen.y, seen.whitening), keep_distance=first == 1)
         base = self.keyframes[first - 1].covariance
@@ -194,7 +195,7 @@ class Map:
             TRUSTED_INFORMATION * adjusted.information, MAX_INFORMATION)
         count = np.bincount(point, minlength=len(rows))
         trust = np.bincount(point, adjusted.weights, len(rows)) / np.maximum(count, 1)
-        self._keep(~np.isin(self.landmarks.id, ids[(trust < MIN_TRUST) & (count > 1)]))
+        self._keep(~np.isin(self.landmarks.number, numbers[(trust < MIN_TRUST) & (count > 1)]))
 
     def shrink(self):
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""
@@ -208,7 +209,7 @@ class Map:
         distance[np.diag_indices_from(distance)] = np.inf
         dropped = old[int(np.argmin(distance.min(axis=1)))]
         self.keyframes.remove(dropped)
-        self._keep(self.landmarks.host != dropped.id)
+        self._keep(self.landmarks.host != dropped.number)
 
     def near(self, position, count):
         """Return rows of up to ``count`` landmarks at rest whose hosts are nearest, ascending."""
