@@ -73,7 +73,7 @@ test-oldest: AMENT_PREFIX_PATH = $(CURDIR)/.venv-oldest
 test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported NumPy, OpenCV, ...
 	.venv-oldest/bin/python -m pytest
 
-benchmark: setup  ## Time all stages and pipelines; leaves the figures in results/benchmark
+benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; half an hour
 	mkdir -p results/benchmark
 	$(PY) -m sph_stab_ros.benchmark --json results/benchmark/benchmark.json
 

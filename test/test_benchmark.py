@@ -20,14 +20,24 @@ import sys
 
 import numpy as np
 import pytest
-from sph_stab_ros.benchmark import inputs, main, medians, stage_calls, WIDTHS, widths_argument
+from scipy.spatial.transform import Rotation
+from sph_stab_ros.benchmark import main, targets, WIDTHS, widths_argument
+from sph_stab_ros.benchmark_calls import inputs, medians, stage_calls
+from sph_stab_ros.benchmark_growth import growth, memory_mb
+from sph_stab_ros.benchmark_references import (
+    FIVE_POINT, is_there, relative_rotation, structure_from_motion)
+from sph_stab_ros.estimators import BearingPairs
 from sph_stab_ros.image_pair import METHODS
+from sph_stab_ros.projection import to_grey
+from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.trackers import TrackedOrientation, TrackingStatus
 from tiny_recordings import write_bag
 
 STAGES = ('decode JPEG', 'grey, resize', 'flow farneback', 'flow dis', 'features A-KAZE',
           'fit essential', 'fit moment', 'fit epipolar', 'track anchored', 'warp sphere',
           'warp view', 'encode JPEG')
 ESTIMATORS = ('anchored', *METHODS)
+OPTIONAL = {FIVE_POINT} if is_there('poselib') else set()
 
 
 @pytest.fixture(scope='module')
@@ -35,7 +45,7 @@ def outcome(turning_bag, tmp_path_factory):
     """Return the JSON of a run at two widths, one above and one below the recording's."""
     path = tmp_path_factory.mktemp('benchmark') / 'benchmark.json'
     assert main([str(turning_bag), '--widths', '192,288', '--repeats', '1',
-                 '--json', str(path)]) == 0
+                 '--growth-frames', '30', '--json', str(path)]) == 0
     return json.loads(path.read_text())
 
 
@@ -51,7 +61,7 @@ def test_every_stage_and_pipeline_is_there_at_every_width(outcome):
     for groups in outcome['widths'].values():
         assert set(STAGES) <= set(groups['stages']) <= {*STAGES, 'fill message'}
         assert set(groups['pipelines']) == {
-            name + pictures for name in ESTIMATORS for pictures in ('', ' + pictures')}
+            name + pictures for name in ESTIMATORS for pictures in ('', ' + pictures')} | OPTIONAL
 
 
 def test_all_figures_are_finite_and_positive(outcome):
@@ -75,7 +85,7 @@ def test_the_machine_and_the_pictures_are_described(outcome):
 
 
 def test_the_table_has_a_line_for_each_call(turning_bag, capsys):
-    assert main([str(turning_bag), '--widths', '160', '--repeats', '1']) == 0
+    assert main([str(turning_bag), '--parts', 'times', '--widths', '160', '--repeats', '1']) == 0
     lines = capsys.readouterr().out.splitlines()
     for name in (*STAGES, *ESTIMATORS, 'copy', 'cv2 remap sphere'):
         assert any(line.startswith(f'  {name}  ') for line in lines), name
@@ -103,7 +113,7 @@ def test_calls_take_turns_and_the_first_round_does_not_count():
 
 
 def test_a_call_beyond_its_budget_is_not_repeated(monkeypatch):
-    monkeypatch.setattr('sph_stab_ros.benchmark.BUDGET_S', 0.)
+    monkeypatch.setattr('sph_stab_ros.benchmark_calls.BUDGET_S', 0.)
     assert medians({'slow': np.sum}, iter(range(9)))['slow']['repeats'] == 1
 
 
@@ -113,7 +123,8 @@ def test_the_default_widths_are_accepted():
 
 @pytest.mark.parametrize('arguments', (
     ['--widths', '641'], ['--widths', '64'], ['--widths', '9000'], ['--widths', 'wide'],
-    ['--widths', ''], ['--repeats', '0'], ['--json', '.'], ['--json', 'no/such/folder/file']))
+    ['--widths', ''], ['--repeats', '0'], ['--growth-frames', '9'], ['--parts', 'all'],
+    ['--json', '.'], ['--json', 'no/such/folder/file']))
 def test_wrong_calls_are_refused_in_one_line(arguments, capsys):
     with pytest.raises(SystemExit, match='2'):
         main(arguments)
@@ -131,3 +142,93 @@ def test_pictures_of_nothing_are_refused_in_one_line(pictures, tmp_path, capsys)
 def test_a_missing_recording_is_refused(tmp_path, capsys):
     assert main([str(tmp_path / 'none')]) == 1
     assert 'does not exist' in capsys.readouterr().err
+
+
+def test_growth_is_there_and_references_need_truth(outcome):
+    first, last = outcome['growth']['first_tenth'], outcome['growth']['last_tenth']
+    for one in (first, last):
+        assert set(one) == {'median_ms', 'memory_mb', 'keyframes', 'landmarks'}
+        assert min(one.values()) > 0
+    assert outcome['growth']['lost_frames'] == 0
+    # There is no truth to compare with.
+    assert outcome['references'] == {}
+
+
+def test_only_the_parts_asked_for_are_measured(turning_bag, tmp_path):
+    path = tmp_path / 'growth.json'
+    assert main([str(turning_bag), '--parts', 'growth', '--growth-frames', '10',
+                 '--json', str(path)]) == 0
+    assert set(json.loads(path.read_text())) == {'machine', 'recording', 'repeats', 'growth'}
+
+
+def test_growth_tells_of_memory_that_a_tracker_keeps(turning, monkeypatch):
+    spheres = [to_grey(image, 256) for image in turning[0]]
+    kept = []
+
+    class Hoarder:
+        keyframes_kept = landmarks_kept = property(lambda self: len(kept))
+
+        def track(self, grey, stamp_ns):
+            kept.append(np.ones(500_000))
+            return TrackedOrientation(Rotation.identity(), TrackingStatus.OK)
+
+    monkeypatch.setattr('sph_stab_ros.benchmark_growth.make_tracker', lambda *_: Hoarder())
+    figures = growth(spheres, 20)
+    first, last = figures['first_tenth'], figures['last_tenth']
+    assert (first['keyframes'], last['keyframes']) == (2, 20)
+    # 18 arrays of 4 MB each; the allocator may give back a little else meanwhile.
+    assert last['memory_mb'] - first['memory_mb'] > 60
+
+
+def test_memory_is_that_of_now():
+    before = memory_mb()
+    held = np.ones(10_000_000)
+    assert memory_mb() - before > 0.9 * held.nbytes / 1e6
+
+
+def figures_with(anchored_ms, pictures_ms, pictures_cpu_ms, ratio):
+    """Return figures at the widths that have targets."""
+    return {
+        960: {'pipelines': {'anchored': {'wall_ms': anchored_ms}}},
+        1920: {'pipelines': {'anchored + pictures': {
+            'wall_ms': pictures_ms, 'cpu_ms': pictures_cpu_ms}},
+            'stages': {'warp sphere': {'ratio': ratio}, 'warp view': {'ratio': ratio}}}}
+
+
+@pytest.mark.parametrize('figures, met', (
+    (figures_with(9., 20., 30., 1.4), [True] * 4),
+    (figures_with(11., 34., 30., 1.6), [False] * 4),
+    # Fast enough, but on both cores.
+    (figures_with(9., 20., 34., 1.4), [True, False, True, True]),
+    ({}, [])))
+def test_targets_are_met_or_missed(figures, met):
+    assert [row[-1] for row in targets(figures, cores=2)] == met
+
+
+def pairs_all_around(R_current_previous, t_current, rng, outliers):
+    """Return BearingPairs of points all around, some of them of nothing."""
+    points = rng.normal(size=(400, 3))
+    points *= (rng.uniform(1, 5, 400) / np.linalg.norm(points, axis=1))[:, None]
+    moved = R_current_previous.apply(points) + t_current
+    moved[:outliers] = rng.normal(size=(outliers, 3))
+    return BearingPairs(*(one / np.linalg.norm(one, axis=1)[:, None] for one in (points, moved)),
+                        np.ones(400))
+
+
+def test_the_five_point_solver_finds_the_rotation_all_around():
+    pytest.importorskip('poselib', reason='poselib is not installed')
+    rng = np.random.default_rng(0)
+    for R in Rotation.random(5, random_state=0):
+        R = Rotation.from_rotvec(0.1 * R.as_rotvec())
+        found = relative_rotation(pairs_all_around(R, (0.1, 0.2, -0.1), rng, 100), rng)
+        assert (found * R.inv()).magnitude() < np.deg2rad(0.05)
+
+
+def test_the_five_point_chain_is_lost_where_nothing_matches():
+    assert relative_rotation(BearingPairs.empty(), np.random.default_rng(0)) is None
+
+
+def test_turning_alone_gives_no_structure(turning):
+    pytest.importorskip('pycolmap', reason='pycolmap is not installed')
+    with pytest.raises(RecordingError, match='no structure'):
+        structure_from_motion(turning[0][:5])

@@ -43,13 +43,15 @@ PYTHON_DEPENDENCIES = {
     'lz4': ('lz4', None),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'numpy': ('numpy', 'python3-numpy'),
+    'poselib': ('poselib', None),
+    'pycolmap': ('pycolmap', None),
     'rosbags': ('rosbags', 'python3-rosbags-pip'),
     'ruamel': ('ruamel.yaml', None),
     'scipy': ('scipy', 'python3-scipy'),
     'threadpoolctl': ('threadpoolctl', None),
     'tqdm': ('tqdm', 'python3-tqdm'),
 }
-OPTIONAL_MODULES = {'av', 'matplotlib', 'threadpoolctl'}
+OPTIONAL_MODULES = {'av', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
 # The only modules, and with `ros` all modules below it, that may need ROS to be imported.
 ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in (
     'benchmark_ros', 'demo', 'operator.__main__', 'operator.robot', 'player', 'ros', 'soak',
@@ -104,7 +106,7 @@ def test_manifest_and_setup_agree(setup_arguments, manifest):
 def test_setup_requires_what_is_imported(setup_arguments):
     extras = setup_arguments['extras_require']
     requirements = [*setup_arguments['install_requires'],
-                    *extras['operator'], *extras['plots'], *extras['video']]
+                    *extras['operator'], *extras['plots'], *extras['references'], *extras['video']]
     required = {re.match(r'[\w.-]+', requirement).group() for requirement in requirements}
     used = imported_modules() & PYTHON_DEPENDENCIES.keys()
     assert required == {PYTHON_DEPENDENCIES[module][0] for module in used}
