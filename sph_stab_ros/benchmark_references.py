@@ -86,6 +86,8 @@ class FivePointChain:
 
 def relative_rotation(pairs, rng):
     """Return R_current_previous of BearingPairs with outliers, None where too few agree."""
+    if len(pairs) < MIN_INLIERS:
+        return None
     E, inliers = _ransac(pairs, rng)
     if inliers.sum() < MIN_INLIERS:
         return None
@@ -96,7 +98,7 @@ def _ransac(pairs, rng):
     """Return the essential matrix of the best of many samples of five, and its inliers (N,)."""
     import poselib
     best_E, best = None, np.zeros(len(pairs), bool)
-    samples_needed, samples = MAX_SAMPLES if len(pairs) >= MIN_INLIERS else 0, 0
+    samples_needed, samples = MAX_SAMPLES, 0
     while samples < samples_needed:
         chosen = rng.random((BATCH, len(pairs))).argpartition(5, axis=1)[:, :5]
         poses = [pose for five in chosen
