@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
+from scipy.spatial.transform import Rotation
 from sph_stab_ros.alignment import Alignment
 from sph_stab_ros.evaluation import compare, increasing
 from sph_stab_ros.recording import open_recording
@@ -31,8 +31,6 @@ from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS
 from sph_stab_ros.stabilization import Stabilizer
 from sph_stab_ros.trackers import TrackingStatus
 from sph_stab_ros.truth import find_truth_topic, read_truth
-
-from scipy.spatial.transform import Rotation
 
 BAGS = Path(__file__).parent.parent / 'bags'
 
