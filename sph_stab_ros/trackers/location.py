@@ -34,6 +34,8 @@ MAX_LAST_STEP_PX = 0.5
 MAX_OFFSET_PX = 6.0
 # Nor is a patch that has shrunk or grown by more the same.
 MIN_DISTANCE, MAX_DISTANCE = 0.4, 3.0
+# What remains of a landmark's error, its own shape above all, does not shrink with finer pixels.
+MAX_PX_PER_RAD = 640 / (2 * np.pi)
 # A pose with which fewer of those that have a say agree is none.
 MIN_AGREEMENT = 0.3
 # A prediction that was off by more is taken up and the search made anew.
@@ -141,7 +143,8 @@ def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable):
         one[found] for one in (rows, offsets, expected, east, south))
     y = expected + offsets[:, :1] * east + offsets[:, 1:] * south
     y /= np.linalg.norm(y, axis=1, keepdims=True)
-    whitening = np.einsum('nij,jnk->ink', patches.root_information[found] * pyramid.px_per_rad(),
+    px_per_rad = min(pyramid.px_per_rad(), MAX_PX_PER_RAD)
+    whitening = np.einsum('nij,jnk->ink', patches.root_information[found] * px_per_rad,
                           np.stack((east, south)))
     return rows, Points(x[found], origins[found], landmarks.inverse_depth[rows],
                         landmarks.information[rows], y, whitening)
