@@ -128,7 +128,7 @@ class TrackerConfig(Checked):
         minimum=1., maximum=180.)
     working_width: int = option(
         0, 'Width in pixels that images are reduced to for the estimator, at least 128; 0 leaves '
-        'it to the estimator: 960 for anchored, 480 for the others', minimum=0, maximum=3840)
+        'it to the estimator: 640 for anchored, 480 for the others', minimum=0, maximum=3840)
     mask: str = option(
         '', "Pixels not to use: path of a 2:1 image (black) or 'lat:FROM,TO' in degrees")
     max_prediction_s: float = option(

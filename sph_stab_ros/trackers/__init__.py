@@ -23,7 +23,7 @@ from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, Tracker, Tra
 from sph_stab_ros.trackers.chain import ChainTracker
 
 # Corners gain from resolution, dense flow costs by it.
-ANCHORED_WIDTH = 960
+ANCHORED_WIDTH = 640
 CHAIN_WIDTH = 480
 
 __all__ = ['AnchoredTracker', 'ChainTracker', 'make_tracker', 'TrackedOrientation', 'Tracker',

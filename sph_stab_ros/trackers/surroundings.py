@@ -26,7 +26,7 @@ from sph_stab_ros.trackers.patches import MAX_LATITUDE_RAD, Patches
 from sph_stab_ros.trackers.rows import Rows
 from sph_stab_ros.trackers.thumbnail import Thumbnail
 
-MAX_LANDMARKS = 450
+MAX_LANDMARKS = 300
 MIN_DISTANCE_PX = 9
 MIN_CORNER_QUALITY = 5e-3
 MIN_CONTRAST = 4.0
@@ -37,8 +37,8 @@ MAX_INFORMATION = 1e5
 # Sightings' errors are alike from keyframe to keyframe: what they tell about depths counts half.
 TRUSTED_INFORMATION = 0.5
 # Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks.
-ADJUSTED_KEYFRAMES = 8
-FIXED_KEYFRAMES = 10
+ADJUSTED_KEYFRAMES = 6
+FIXED_KEYFRAMES = 6
 MAX_KEYFRAMES = 48
 # A landmark whose sightings are trusted less than this on average is none.
 MIN_TRUST = 0.15
