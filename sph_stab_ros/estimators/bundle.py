@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.estimators.pose import CAUCHY, cauchy_weights, MAX_INVERSE_DEPTH, MEDIAN_2D
 
-ITERATIONS = 3
+ITERATIONS = 4
 STEP_TOLERANCE = 1e-5
 MIN_SCALE, MAX_SCALE = 0.5, 1.5
 # Levenberg–Marquardt: relative to the diagonal.
