@@ -38,7 +38,7 @@ MAX_INFORMATION = 1e5
 TRUSTED_INFORMATION = 0.5
 # Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks.
 ADJUSTED_KEYFRAMES = 6
-FIXED_KEYFRAMES = 6
+FIXED_KEYFRAMES = 10
 MAX_KEYFRAMES = 48
 # A landmark whose sightings are trusted less than this on average is none.
 MIN_TRUST = 0.15
