@@ -14,7 +14,7 @@
 
 from glob import glob
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 
 package_name = 'sph_stab_ros'
 
@@ -38,7 +38,11 @@ setup(
         ('share/' + package_name + '/config', glob('config/*.*')),
         ('share/' + package_name + '/launch', glob('launch/*.launch.py')),
     ],
-    zip_safe=True,
+    # Where it cannot be built the same is done in NumPy.
+    ext_modules=[Extension(
+        package_name + '.kernels._kernels', [package_name + '/kernels/kernels.c'],
+        extra_compile_args=['-O3', '-ffast-math'], libraries=['m'], optional=True)],
+    zip_safe=False,
     python_requires='>=3.10',
     # Lower bounds: what Jazzy's platform, Ubuntu 24.04, ships, or the oldest that works.
     install_requires=[

@@ -30,7 +30,7 @@ PADDING = 1 / 16
 # 0.002° on the simulated flights) in a quarter of the time.
 STRIDE_PX = 2
 # Flow interpolates where nothing is to be seen; a picture without contrast has no flow at all.
-TEXTURE_WIDTH = 240
+TEXTURE_WIDTH = 160
 MIN_CONTRAST = 2.0
 MIN_TEXTURED_FRACTION = 0.02
 
@@ -112,5 +112,5 @@ def has_texture(grey):
     """Tell whether a grey sphere (H, W) shows enough to measure any motion by."""
     if grey.shape[1] > TEXTURE_WIDTH:
         grey = cv2.resize(grey, (TEXTURE_WIDTH, TEXTURE_WIDTH // 2), interpolation=cv2.INTER_AREA)
-    contrast = cv2.absdiff(cv2.GaussianBlur(grey, (0, 0), 1), cv2.GaussianBlur(grey, (0, 0), 4))
-    return np.mean(contrast > MIN_CONTRAST) > MIN_TEXTURED_FRACTION
+    fine, coarse = (cv2.GaussianBlur(grey, (0, 0), sigma_px) for sigma_px in (0.7, 2.7))
+    return np.mean(cv2.absdiff(fine, coarse) > MIN_CONTRAST) > MIN_TEXTURED_FRACTION

@@ -23,10 +23,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import bearing_grid, bearings_from_pixels, pixels_from_bearings
+from sph_stab_ros.rows import Rows
 from sph_stab_ros.trackers.location import (
     MAX_LAST_STEP_PX, MAX_OFFSET_PX, MIN_CORRELATION)
 from sph_stab_ros.trackers.patches import MIN_CONTRAST, Patches, Pyramid
-from sph_stab_ros.trackers.rows import Rows
 from synthetic import random_rotation, textured_sphere, unit
 
 WIDTH = 480
@@ -75,8 +75,9 @@ def find(patches, image, where, off_px=0., scale=None):
     b, east, south = where
     off = np.broadcast_to(off_px, (len(b), 2)) / PX_PER_RAD
     expected = unit(b + off[:, :1] * east + off[:, 1:] * south)
+    scale = np.ones(len(b)) if scale is None else scale
     offsets, correlation, last_step_px = patches.find(
-        pyramid(image), expected, east, south, np.ones(len(b)) if scale is None else scale)
+        np.arange(len(b)), pyramid(image), expected, east, south, scale)
     found = unit(expected + offsets[:, :1] * east + offsets[:, 1:] * south)
     error = np.stack([np.einsum('ni,ni->n', found - b, t) for t in (east, south)], axis=1)
     return error * PX_PER_RAD, correlation, last_step_px

@@ -31,9 +31,9 @@ HERE = np.zeros(3)
 
 
 def tangents(y):
-    """Return the sphere's unit directions (2, N, 3) at y per standard deviation."""
+    """Return the sphere's unit directions (N, 2, 3) at y per standard deviation."""
     first = unit(np.cross(y, (0.3, 0.5, 0.8)))
-    return np.stack((first, np.cross(y, first))) / SIGMA_RAD
+    return np.stack((first, np.cross(y, first)), axis=1) / SIGMA_RAD
 
 
 def points(rng, R, position, count=400, noise_rad=0., information=1e6, spread=0.3):
@@ -54,7 +54,7 @@ def turned(seen, R_world, R_camera):
     """Return the Points of a turned world, seen by a turned camera."""
     return replace(
         seen, x=R_world.apply(seen.x), origins=R_world.apply(seen.origins),
-        y=R_camera.apply(seen.y), whitening=np.stack([R_camera.apply(w) for w in seen.whitening]))
+        y=R_camera.apply(seen.y), whitening=seen.whitening @ R_camera.as_matrix().T)
 
 
 @pytest.mark.parametrize('seed', range(5))
@@ -128,8 +128,8 @@ def test_a_point_without_information_across_its_edge_does_not_pull_along_it():
     R = random_rotation(rng, 1)
     seen = points(rng, R, POSITION, information=1e4)
     slid = np.arange(len(seen)) % 2 == 0
-    seen.y[slid] = unit(seen.y[slid] + 0.02 * SIGMA_RAD * seen.whitening[1, slid])
-    seen.whitening[1, slid] *= 1e-3
+    seen.y[slid] = unit(seen.y[slid] + 0.02 * SIGMA_RAD * seen.whitening[slid, 1])
+    seen.whitening[slid, 1] *= 1e-3
     assert angle_deg(fit(seen).R_camera_world, R) < 0.01
 
 
@@ -182,9 +182,7 @@ def test_a_depth_known_as_well_as_it_is_seen_ends_half_way(estimator):
     if estimator is fit_pose:
         guess = replace(guess, information=moves ** 2 / MIN_SCALE ** 2)
         # The pose is held by points whose depths are known.
-        both = Points(*(np.concatenate((getattr(guess[:20], one), getattr(seen, one)))
-                        for one in ('x', 'origins', 'inverse_depths', 'information', 'y')),
-                      np.concatenate((guess.whitening[:, :20], seen.whitening), axis=1))
+        both = Points.joined((guess[:20], seen))
         rho = fit(both, R=R, position=POSITION).inverse_depths[:20]
     else:
         rho = fit_depths(replace(guess, information=moves ** 2), pose).inverse_depths[:20]
@@ -280,5 +278,5 @@ def test_some_of_the_points_are_those_points():
     some = seen[np.array((True, False, True, True, False, False))]
     assert len(some) == 3
     np.testing.assert_array_equal(some.y, seen.y[[0, 2, 3]])
-    np.testing.assert_array_equal(some.whitening, seen.whitening[:, [0, 2, 3]])
+    np.testing.assert_array_equal(some.whitening, seen.whitening[[0, 2, 3]])
     np.testing.assert_array_equal(some.origins, seen[[0, 2, 3]].origins)

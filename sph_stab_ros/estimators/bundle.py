@@ -26,6 +26,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros import kernels
 from sph_stab_ros.estimators.pose import CAUCHY, cauchy_weights, MAX_INVERSE_DEPTH, MEDIAN_2D
 
 ITERATIONS = 4
@@ -88,23 +89,24 @@ def adjust(window, keep_distance=False):
     With ``keep_distance`` the last keyframe stays as far from the origin as it is: the unit of
     length, where nothing else sets it.
     """
-    problem = _Problem(window, keep_distance)
+    distance = np.linalg.norm(window.p[-1])
+    kept_along = window.p[-1] / distance if keep_distance and distance > 0 else None
     R, p, rho = window.R, window.p, window.inverse_depths
     damping = FIRST_DAMPING
-    seen = problem.look(R, p, rho)
+    sizes = sightings_sizes(window, R, p, rho)
     for _ in range(ITERATIONS):
-        equations = problem.equations(R, p, rho, seen)
-        cost = problem.cost(seen, rho, equations.scale)
+        equations = normal_equations(window, R, p, rho, sizes, kept_along)
+        cost = _cost(window, rho, sizes, equations.scale)
         while True:
-            step, R_new, p_new, rho_new = problem.step(equations, damping, R, p, rho)
-            seen_new = problem.look(R_new, p_new, rho_new)
-            better = problem.cost(seen_new, rho_new, equations.scale) <= cost
+            step, R_new, p_new, rho_new = _step(window, equations, damping, R, p, rho)
+            sizes_new = sightings_sizes(window, R_new, p_new, rho_new)
+            better = _cost(window, rho_new, sizes_new, equations.scale) <= cost
             if better or damping > MAX_DAMPING:
                 break
             damping = max(damping, DAMPED) * DAMPING_FACTOR
         if not better:
             break
-        R, p, rho, seen = R_new, p_new, rho_new, seen_new
+        R, p, rho, sizes = R_new, p_new, rho_new, sizes_new
         damping /= DAMPING_FACTOR
         if np.abs(step).max() < STEP_TOLERANCE:
             break
@@ -113,18 +115,7 @@ def adjust(window, keep_distance=False):
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """How points are seen: residuals r (M, 2), their sizes (M,), and what led there."""
-
-    x: np.ndarray
-    q: np.ndarray
-    z: np.ndarray
-    r: np.ndarray
-    sizes: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Equations:
+class Equations:
     """Normal equations: keyframes' H and g, points' H_rr and g_r, and H_rp between them."""
 
     H: np.ndarray
@@ -142,77 +133,100 @@ class _Equations:
         return S
 
 
-class _Problem:
-
-    def __init__(self, window, keep_distance):
-        self._window = window
-        self._count = int(window.free.sum())
-        self._host = window.host[window.point]
-        # Fixed ones go to a last place, which is thrown away.
-        slots = np.where(window.free, np.cumsum(window.free) - 1, self._count)
-        self._slots = slots[window.keyframe], slots[self._host]
-        sightings = np.arange(len(window.point))
-        self._by_point = sparse.csr_matrix(
-            (np.ones(len(sightings)), (window.point, sightings)),
-            shape=(len(window.x), len(sightings)))
-        distance = np.linalg.norm(window.p[-1])
-        self._kept_along = window.p[-1] / distance if keep_distance and distance > 0 else None
-
-    def look(self, R, p, rho):
-        window = self._window
-        x = np.einsum('mij,mj->mi', R[self._host], window.x[window.point])
-        q = p[window.keyframe] - p[self._host]
-        z = x - rho[window.point, None] * q
+def sightings_sizes(window, R, p, rho):
+    """Return the lengths (M,) of the residuals ``W (b − y)``."""
+    host = window.host[window.point]
+    if kernels.library is not None:
+        r = np.empty((len(host), 2))
+        kernels.library.bundle_residuals(
+            len(host), window.keyframe, host, window.point, R, p, window.x, rho, window.y,
+            window.whitening, r)
+    else:
+        _, _, z = _rays(window, R, p, rho, host)
         b = np.einsum('mij,mi->mj', R[window.keyframe], z)
         b /= np.sqrt(np.einsum('mi,mi->m', z, z))[:, None]
         r = np.einsum('mki,mi->mk', window.whitening, b - window.y)
-        return _Seen(x, q, z, r, np.sqrt(np.einsum('mk,mk->m', r, r)))
+    return np.sqrt(np.einsum('mk,mk->m', r, r))
 
-    def cost(self, seen, rho, scale):
-        width = CAUCHY * scale
-        window = self._window
-        return ((CAUCHY ** 2 * np.log1p((seen.sizes / width) ** 2)).sum()
-                + window.information @ (rho - window.inverse_depths) ** 2)
 
-    def equations(self, R, p, rho, seen):
-        window = self._window
-        scale = np.clip(np.median(seen.sizes) / MEDIAN_2D, MIN_SCALE, MAX_SCALE)
-        weights = cauchy_weights(seen.sizes, scale)
-        w = weights / scale ** 2
-        # W db = M dz with dz = ω_h × x − ω_k × z − ρ (dp_k − dp_h) − q dρ, all in the world.
-        A = window.whitening @ np.swapaxes(R[window.keyframe], 1, 2)
-        length = np.sqrt(np.einsum('mi,mi->m', seen.z, seen.z))[:, None, None]
-        b = seen.z[:, None] / length
-        M = (A - np.einsum('mki,mji->mkj', A, b) * b) / length
-        along = rho[window.point, None, None] * M
-        J = np.zeros((len(M), 2, self._count + 1, 6))
-        each = np.arange(len(M))
-        keyframe, host = self._slots
-        J[each, :, keyframe, :3] -= np.cross(seen.z[:, None], M)
-        J[each, :, keyframe, 3:] -= along
-        J[each, :, host, :3] += np.cross(seen.x[:, None], M)
-        J[each, :, host, 3:] += along
-        J = J[:, :, :-1].reshape(len(M), 2, -1)
-        J_rho = -np.einsum('mki,mi->mk', M, seen.q)
+def normal_equations(window, R, p, rho, sizes, kept_along=None):
+    """
+    Return the Equations of residuals of such sizes (M,), weighted by them.
 
-        wJ = w[:, None, None] * J
-        flat = wJ.reshape(2 * len(M), -1)
-        H = flat.T @ J.reshape(2 * len(M), -1)
-        if self._kept_along is not None:
-            H[-3:, -3:] += GAUGE_INFORMATION * np.outer(self._kept_along, self._kept_along)
-        return _Equations(
-            H, flat.T @ seen.r.ravel(), self._by_point @ np.einsum('mkn,mk->mn', wJ, J_rho),
-            window.information + self._by_point @ (w * np.einsum('mk,mk->m', J_rho, J_rho)),
-            self._by_point @ (w * np.einsum('mk,mk->m', J_rho, seen.r))
-            + window.information * (rho - window.inverse_depths), weights, scale)
+    ``W db = M dz`` with ``dz = ω_h × x − ω_k × z − ρ (dp_k − dp_h) − q dρ``, all in the world. The
+    last keyframe does not move along the unit vector ``kept_along`` (3,), if given.
+    """
+    scale = np.clip(np.median(sizes) / MEDIAN_2D, MIN_SCALE, MAX_SCALE)
+    weights = cauchy_weights(sizes, scale)
+    accumulate = _accumulate if kernels.library is None else _accumulate_compiled
+    H, g, H_rp, H_rr, g_r = accumulate(window, R, p, rho, weights / scale ** 2)
+    if kept_along is not None:
+        H[-3:, -3:] += GAUGE_INFORMATION * np.outer(kept_along, kept_along)
+    return Equations(H, g, H_rp, window.information + H_rr,
+                     g_r + window.information * (rho - window.inverse_depths), weights, scale)
 
-    def step(self, equations, damping, R, p, rho):
-        H_rr = equations.H_rr * (1 + damping)
-        step = -np.linalg.solve(equations.reduced(damping),
-                                equations.g - equations.H_rp.T @ (equations.g_r / H_rr))
-        rho = np.clip(rho - (equations.g_r + equations.H_rp @ step) / H_rr, 0., MAX_INVERSE_DEPTH)
-        turns, moves = np.split(step.reshape(-1, 6), 2, axis=1)
-        R, p, free = R.copy(), p.copy(), self._window.free
-        R[free] = Rotation.from_rotvec(turns).as_matrix() @ R[free]
-        p[free] += moves
-        return step, R, p, rho
+
+def _accumulate_compiled(window, R, p, rho, w):
+    columns, points = 6 * window.free.sum(), len(window.x)
+    H, g, H_rp = np.zeros((columns, columns)), np.zeros(columns), np.zeros((points, columns))
+    H_rr, g_r = np.zeros(points), np.zeros(points)
+    kernels.library.bundle_equations(
+        len(window.point), columns, window.keyframe, window.host[window.point], window.point,
+        np.where(window.free, np.cumsum(window.free) - 1, -1), R, p, window.x, rho, window.y,
+        window.whitening, w, H, g, H_rp, H_rr, g_r)
+    return H, g, H_rp, H_rr, g_r
+
+
+def _accumulate(window, R, p, rho, w):
+    host = window.host[window.point]
+    x, q, z = _rays(window, R, p, rho, host)
+    A = window.whitening @ np.swapaxes(R[window.keyframe], 1, 2)
+    length = np.sqrt(np.einsum('mi,mi->m', z, z))[:, None]
+    b = z / length
+    along_b = np.einsum('mki,mi->mk', A, b)
+    M = (A - along_b[..., None] * b[:, None]) / length[..., None]
+    r = along_b - np.einsum('mki,mi->mk', window.whitening, window.y)
+    J_rho = -np.einsum('mki,mi->mk', M, q)
+    along = rho[window.point, None, None] * M
+    # Fixed keyframes go to a last place, which is thrown away.
+    count = window.free.sum()
+    slots = np.where(window.free, np.cumsum(window.free) - 1, count)
+    J = np.zeros((len(M), 2, count + 1, 6))
+    each = np.arange(len(M))
+    J[each, :, slots[window.keyframe], :3] -= np.cross(z[:, None], M)
+    J[each, :, slots[window.keyframe], 3:] -= along
+    J[each, :, slots[host], :3] += np.cross(x[:, None], M)
+    J[each, :, slots[host], 3:] += along
+    J = J[:, :, :-1].reshape(len(M), 2, -1)
+
+    flat = (w[:, None, None] * J).reshape(2 * len(M), -1).T
+    by_point = sparse.csr_matrix((w, (window.point, each)), shape=(len(window.x), len(M)))
+    return (flat @ J.reshape(2 * len(M), -1), flat @ r.ravel(),
+            by_point @ np.einsum('mkn,mk->mn', J, J_rho),
+            by_point @ np.einsum('mk,mk->m', J_rho, J_rho),
+            by_point @ np.einsum('mk,mk->m', J_rho, r))
+
+
+def _rays(window, R, p, rho, host):
+    """Return bearings x, offsets q and what is seen, ``z = x − ρ q``, (M, 3) in the world."""
+    x = np.einsum('mij,mj->mi', R[host], window.x[window.point])
+    q = p[window.keyframe] - p[host]
+    return x, q, x - rho[window.point, None] * q
+
+
+def _cost(window, rho, sizes, scale):
+    width = CAUCHY * scale
+    return ((CAUCHY ** 2 * np.log1p((sizes / width) ** 2)).sum()
+            + window.information @ (rho - window.inverse_depths) ** 2)
+
+
+def _step(window, equations, damping, R, p, rho):
+    H_rr = equations.H_rr * (1 + damping)
+    step = -np.linalg.solve(equations.reduced(damping),
+                            equations.g - equations.H_rp.T @ (equations.g_r / H_rr))
+    rho = np.clip(rho - (equations.g_r + equations.H_rp @ step) / H_rr, 0., MAX_INVERSE_DEPTH)
+    turns, moves = np.split(step.reshape(-1, 6), 2, axis=1)
+    R, p, free = R.copy(), p.copy(), window.free
+    R[free] = Rotation.from_rotvec(turns).as_matrix() @ R[free]
+    p[free] += moves
+    return step, R, p, rho

@@ -44,7 +44,7 @@ MAX_PARALLAX_RAD = 0.04
 MAX_MISSED = 6
 MIN_AGREED, DISAGREEING = -5, -2
 # At a keyframe so many of those at rest are looked for; they are back within this much.
-MAX_RETURNING = 300
+MAX_RETURNING = 600
 RETURNING_SIZE = 8.0
 # How far the camera moves against a prediction, in the unit of the map, per second.
 POSITION_SIGMA_PER_S = 0.6
@@ -262,12 +262,12 @@ class AnchoredTracker:
             self._R_world_camera, self._position, self._is_usable)
         b = self._map.directions(rows, self._position) @ self._R_world_camera.as_matrix()
         sizes = np.linalg.norm(
-            np.einsum('kni,ni->kn', points.whitening, b - points.y), axis=0)
+            np.einsum('nki,ni->nk', points.whitening, b - points.y), axis=1)
         back = (sizes < RETURNING_SIZE) & (landmarks.agreed[rows] >= MATURE_FRAMES)
         landmarks.active[rows[back]] = True
         landmarks.missed[rows[back]] = 0
         return Sightings(landmarks.number[rows[back]], points.y[back],
-                         np.moveaxis(points.whitening[:, back], 0, 1))
+                         points.whitening[back])
 
     def _is_usable(self, bearings):
         """Tell which bearings (N, 3) of the camera show the world."""

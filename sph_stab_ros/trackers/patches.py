@@ -24,12 +24,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from sph_stab_ros import kernels
 from sph_stab_ros.equirect import pad_sphere
-from sph_stab_ros.trackers.rows import Rows
+from sph_stab_ros.rows import Rows
 
 # The whole picture, and half of it.
 LEVELS = 2
-BLUR_PX = 0.8
+BLUR_PX = 0.5
 # A patch has 11×11 samples, one every 1.5 px of its level.
 SAMPLES = 11
 SPACING_PX = 1.5
@@ -37,9 +38,11 @@ SPACING_PX = 1.5
 # what it moves.
 MARGIN_PX = 48
 MAX_LATITUDE_RAD = np.deg2rad(68)
-# Iterations from the coarse level to the fine one, and the largest step of each.
+# Iterations from the coarse level to the fine one, the largest step of each, and one so small
+# that it is the last.
 ITERATIONS = (3, 4)
 MAX_STEP_PX = 2.0
+SETTLED_PX = (0.3, 0.1)
 MIN_CONTRAST = 1.0
 # Standard deviation of a strong corner, and the mean squared gradient that makes one.
 CORNER_SIGMA_PX = 0.1
@@ -113,14 +116,16 @@ class Patches(Rows):
         templates, deviations, solvers = (np.stack(one, axis=1) for one in zip(*levels))
         return cls(templates, deviations, solvers, root_information)
 
-    def find(self, pyramid, expected, east, south, scale):
+    def find(self, rows, pyramid, expected, east, south, scale):
         """
-        Return where the patches are in a picture.
+        Return where the patches in rows are in a picture.
 
         Inverse compositional alignment, free of brightness and contrast.
 
         Parameters
         ----------
+        rows : (N,) int
+            Which patches to look for.
         pyramid : Pyramid
             Of the picture.
         expected, east, south : (N, 3)
@@ -138,28 +143,48 @@ class Patches(Rows):
             Of the iteration; large where it did not settle.
 
         """
-        offsets = np.zeros((len(self), 2))
+        expected, east, south, scale = (
+            np.ascontiguousarray(one) for one in (expected, east, south, scale))
+        offsets = np.zeros((len(rows), 2))
+        settle = self._settle if kernels.library is None else self._settle_compiled
         for level, iterations in zip(reversed(range(LEVELS)), ITERATIONS):
-            px = pyramid.px_per_rad(level)
-            b = expected + offsets[:, :1] * east + offsets[:, 1:] * south
-            b /= np.linalg.norm(b, axis=1, keepdims=True)
-            u, v, u_moves, v_moves = _maps(b, east, south, pyramid, level, SAMPLES, scale)
-            template, deviation = self.templates[:, level], self.deviations[:, level]
-            solver = self.solvers[:, level] * np.float32(scale)[:, None, None]
-            for _ in range(iterations):
-                grey = pyramid.read(level, u, v)
-                grey -= grey.mean(axis=1, keepdims=True)
-                seen = np.sqrt(np.einsum('np,np->n', grey, grey) / grey.shape[1])
-                grey *= (deviation / np.maximum(seen, MIN_CONTRAST))[:, None]
-                grey -= template
-                step = np.einsum('nip,np->ni', solver, grey)
-                length = np.sqrt(np.einsum('ni,ni->n', step, step))
-                step *= np.minimum(1, MAX_STEP_PX / np.maximum(length, 1e-6))[:, None]
-                offsets -= step / px
-                u -= np.einsum('ni,ni->n', u_moves, step)[:, None]
-                v -= np.einsum('ni,ni->n', v_moves, step)[:, None]
-        difference = np.einsum('np,np->n', grey, grey) / grey.shape[1]
-        return offsets, 1 - difference / (2 * np.maximum(deviation, MIN_CONTRAST) ** 2), length
+            difference, length = settle(
+                rows, pyramid, level, expected, east, south, scale, iterations, offsets)
+        deviation = np.maximum(self.deviations[rows, level], MIN_CONTRAST)
+        return offsets, 1 - difference / (2 * deviation ** 2), length
+
+    def _settle_compiled(self, rows, pyramid, level, expected, east, south, scale, iterations,
+                         offsets):
+        difference, length = np.zeros((2, len(rows)), np.float32)
+        image = pyramid.images[level]
+        kernels.library.settle_patches(
+            len(rows), rows, expected, east, south, scale, image, *image.shape,
+            pyramid.margin_px, self.templates, self.deviations, self.solvers, level, LEVELS,
+            SPACING_PX, iterations, MAX_STEP_PX, SETTLED_PX[LEVELS - 1 - level], MIN_CONTRAST,
+            offsets, difference, length)
+        return difference, length
+
+    def _settle(self, rows, pyramid, level, expected, east, south, scale, iterations, offsets):
+        """Improve offsets (N, 2) in place; return mean squared differences, last steps (N,)."""
+        px = pyramid.px_per_rad(level)
+        b = expected + offsets[:, :1] * east + offsets[:, 1:] * south
+        b /= np.linalg.norm(b, axis=1, keepdims=True)
+        u, v, u_moves, v_moves = _maps(b, east, south, pyramid, level, SAMPLES, scale)
+        template, deviation = self.templates[rows, level], self.deviations[rows, level]
+        solver = self.solvers[rows, level] * np.float32(scale)[:, None, None]
+        for _ in range(iterations):
+            grey = pyramid.read(level, u, v)
+            grey -= grey.mean(axis=1, keepdims=True)
+            seen = np.sqrt(np.einsum('np,np->n', grey, grey) / grey.shape[1])
+            grey *= (deviation / np.maximum(seen, MIN_CONTRAST))[:, None]
+            grey -= template
+            step = np.einsum('nip,np->ni', solver, grey)
+            length = np.sqrt(np.einsum('ni,ni->n', step, step))
+            step *= np.minimum(1, MAX_STEP_PX / np.maximum(length, 1e-6))[:, None]
+            offsets -= step / px
+            u -= np.einsum('ni,ni->n', u_moves, step)[:, None]
+            v -= np.einsum('ni,ni->n', v_moves, step)[:, None]
+        return np.einsum('np,np->n', grey, grey) / grey.shape[1], length
 
 
 def _root_information(G):

@@ -22,13 +22,13 @@ import numpy as np
 from sph_stab_ros.equirect import bearings_from_pixels, pixels_from_bearings
 from sph_stab_ros.estimators.bundle import adjust, Window
 from sph_stab_ros.estimators.pose import cauchy_weights
+from sph_stab_ros.rows import Rows
 from sph_stab_ros.trackers.patches import MAX_LATITUDE_RAD, Patches
-from sph_stab_ros.trackers.rows import Rows
 from sph_stab_ros.trackers.thumbnail import Thumbnail
 
-MAX_LANDMARKS = 300
-MIN_DISTANCE_PX = 9
-MIN_CORNER_QUALITY = 5e-3
+MAX_LANDMARKS = 600
+MIN_DISTANCE_PX = 7
+MIN_CORNER_QUALITY = 2e-3
 MIN_CONTRAST = 4.0
 # The unit of length is such that new landmarks are at distance 1 in the beginning; their inverse
 # depth is known by this much.

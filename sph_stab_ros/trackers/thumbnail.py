@@ -57,19 +57,19 @@ def align(reference, current, R_current_reference):
     grid = bearing_grid(WIDTH)[rows].reshape(-1, 3)
     J = rotation_gradient(reference.padded, reference.margin_px)[rows].reshape(-1, 3)
     expected = reference.image[rows].ravel()
-    R = R_current_reference
+    R = R_current_reference.as_matrix()
     for _ in range(ITERATIONS):
-        uv = pixels_from_bearings(grid @ R.as_matrix().T.astype(np.float32), WIDTH)
+        uv = pixels_from_bearings(grid @ R.T.astype(np.float32), WIDTH)
         uv = (uv + current.margin_px).astype(np.float32)
         seen = cv2.remap(current.padded, uv[:, 0], uv[:, 1], cv2.INTER_LINEAR).ravel()
         residual = seen - expected
         w = weights * np.minimum(1, HUBER / np.maximum(np.abs(residual), 1e-6))
         weighted = w[:, None] * J
         omega = np.linalg.lstsq(weighted.T @ J, weighted.T @ residual, rcond=1e-6)[0]
-        R = R * Rotation.from_rotvec(-omega.astype(float))
+        R = R @ cv2.Rodrigues(-omega.astype(float))[0]
         if np.linalg.norm(omega) < STEP_TOLERANCE_RAD:
             break
-    return R
+    return Rotation.from_matrix(R)
 
 
 def difference(reference, current, R_current_reference):

@@ -1,0 +1,72 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The anchored tracker's inner loops in C, built where there is a compiler at installation.
+
+The Python functions that call them have the same in NumPy, for elsewhere. Called by ctypes: no
+other thread waits for them, and they need neither Python's headers nor another package.
+"""
+
+import ctypes
+from importlib.util import find_spec
+
+import numpy as np
+
+
+class _Array:
+    """Passes arrays by address, dense and in C order: one that is not is copied to be read."""
+
+    _ANYTHING = ctypes.c_char * 0
+
+    def __init__(self, dtype, written=False):
+        self._dtype, self._written = dtype, written
+
+    def from_param(self, array):
+        dense = np.ascontiguousarray(array, self._dtype)
+        if self._written and dense is not array:
+            raise TypeError('only dense arrays of the right type can be written to')
+        # A third of the time that ndarray.ctypes takes.
+        return ctypes.byref(self._ANYTHING.from_buffer(dense))
+
+
+# What a letter stands for. Capitals are written to.
+_TYPES = {
+    'b': _Array(np.uint8), 'd': _Array(np.float64), 'f': _Array(np.float32),
+    'l': _Array(np.int64), 'D': _Array(np.float64, True), 'F': _Array(np.float32, True),
+    'i': ctypes.c_int, 'x': ctypes.c_float,
+}
+# As the functions in kernels.c take them.
+_ARGUMENTS = {
+    'settle_patches': 'ilddddbiiifffiixixxxDFF',
+    'pose_residuals': 'idddddddD',
+    'pose_equations': 'iddddddddDDDDD',
+    'bundle_residuals': 'illlddddddD',
+    'bundle_equations': 'iilllldddddddDDDDD',
+}
+
+
+def _load():
+    """Return the library, None where it was not built."""
+    spec = find_spec('sph_stab_ros.kernels._kernels')
+    if spec is None:
+        return None
+    library = ctypes.CDLL(spec.origin)
+    for name, letters in _ARGUMENTS.items():
+        function = getattr(library, name)
+        function.argtypes, function.restype = [_TYPES[letter] for letter in letters], None
+    return library
+
+
+library = _load()

@@ -1,0 +1,307 @@
+// Copyright 2026 The sph_stab_ros developers
+//
+// Licensed under the Apache License, Version 2.0 (the "License");
+// you may not use this file except in compliance with the License.
+// You may obtain a copy of the License at
+//
+//     http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software
+// distributed under the License is distributed on an "AS IS" BASIS,
+// WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+// See the License for the specific language governing permissions and
+// limitations under the License.
+
+// The inner loops of the anchored tracker. Arrays are dense, in C order; the Python functions that
+// call these say what they mean, and do the same in NumPy where nothing was compiled.
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#define PI 3.14159265358979323846
+// As in patches.py.
+#define SAMPLES 11
+#define PIXELS (SAMPLES * SAMPLES)
+
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
+#define WITH_WIDE_VECTORS __attribute__((target_clones("arch=haswell", "default")))
+#else
+#define WITH_WIDE_VECTORS
+#endif
+
+static inline double dot(const double a[3], const double b[3]) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+static inline void cross(const double a[3], const double b[3], double out[3]) {
+  out[0] = a[1] * b[2] - a[2] * b[1];
+  out[1] = a[2] * b[0] - a[0] * b[2];
+  out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static inline void turn(const double R[9], const double x[3], double out[3]) {
+  for (int i = 0; i < 3; i++) out[i] = dot(R + 3 * i, x);
+}
+
+static inline void turn_back(const double R[9], const double x[3], double out[3]) {
+  for (int i = 0; i < 3; i++) out[i] = R[i] * x[0] + R[3 + i] * x[1] + R[6 + i] * x[2];
+}
+
+// Longitude and latitude (downwards) around a unit bearing b to second order: coefficients of
+// 1, e, s, e², es and s² along unit tangents east and south.
+static void expand(const double b[3], const double *tangents[2], double lon[6], double lat[6]) {
+  static const int pairs[3][2] = {{0, 0}, {0, 1}, {1, 1}};
+  static const double shares[3] = {0.5, 1, 0.5};
+  const double x = b[0], y = b[1], z = b[2], rho = fmax(hypot(x, z), 1e-2);
+  // Derivatives of rho, and rho² times those of longitude.
+  double out[2], around[2];
+  lon[0] = atan2(x, z);
+  lat[0] = atan2(y, rho);
+  for (int i = 0; i < 2; i++) {
+    const double *t = tangents[i];
+    out[i] = (x * t[0] + z * t[2]) / rho;
+    around[i] = z * t[0] - x * t[2];
+    lon[1 + i] = around[i] / (rho * rho);
+    lat[1 + i] = rho * t[1] - y * out[i];
+  }
+  for (int k = 0; k < 3; k++) {
+    const int i = pairs[k][0], j = pairs[k][1];
+    const double *a = tangents[i], *c = tangents[j];
+    lon[3 + k] = shares[k] * ((c[2] * a[0] - c[0] * a[2]) / (rho * rho)
+                              - 2 * around[i] * out[j] / (rho * rho * rho));
+    const double bend = (a[0] * c[0] + a[2] * c[2] - out[i] * out[j]) / rho;
+    lat[3 + k] = shares[k] * (out[j] * a[1] - c[1] * out[i] - y * bend);
+  }
+}
+
+// Read an image bilinearly at the pixels of a patch, moved by du and dv; its edge goes on for ever.
+// Several loops, because compilers make vectors of all but the one in the middle.
+static inline void read_patch(const uint8_t *image, int height, int width, const float u[PIXELS],
+                              const float v[PIXELS], float du, float dv, float grey[PIXELS]) {
+  int index[PIXELS];
+  float right[PIXELS], down[PIXELS];
+  uint8_t corners[4][PIXELS];
+  for (int k = 0; k < PIXELS; k++) {
+    const float column = fminf(fmaxf(u[k] + du, 0), width - 1.001f);
+    const float row = fminf(fmaxf(v[k] + dv, 0), height - 1.001f);
+    const int left = (int)column, top = (int)row;
+    right[k] = column - left;
+    down[k] = row - top;
+    index[k] = top * width + left;
+  }
+  for (int k = 0; k < PIXELS; k++) {
+    const uint8_t *pixel = image + index[k];
+    corners[0][k] = pixel[0];
+    corners[1][k] = pixel[1];
+    corners[2][k] = pixel[width];
+    corners[3][k] = pixel[width + 1];
+  }
+  for (int k = 0; k < PIXELS; k++) {
+    const float above = corners[0][k] + right[k] * (corners[1][k] - corners[0][k]);
+    const float below = corners[2][k] + right[k] * (corners[3][k] - corners[2][k]);
+    grey[k] = above + down[k] * (below - above);
+  }
+}
+
+// One level of Patches.find. Templates (., levels, PIXELS), deviations (., levels) and solvers
+// (., levels, 2, PIXELS) are those of all patches; rows (n) tells which.
+WITH_WIDE_VECTORS
+void settle_patches(
+    int n, const int64_t *rows, const double *expected, const double *east, const double *south,
+    const double *scale, const uint8_t *image, int height, int width, int margin_px,
+    const float *templates, const float *deviations, const float *solvers, int level, int levels,
+    float spacing_px, int iterations, float max_step_px, float settled_px, float min_contrast,
+    double *offsets_rad, float *differences, float *lengths_px) {
+  const double px_per_rad = (width - 2 * margin_px) / (2 * PI);
+  for (int i = 0; i < n; i++) {
+    const double *tangents[2] = {east + 3 * i, south + 3 * i};
+    double b[3], lon[6], lat[6], *offset = offsets_rad + 2 * i;
+    for (int j = 0; j < 3; j++)
+      b[j] = expected[3 * i + j] + offset[0] * tangents[0][j] + offset[1] * tangents[1][j];
+    const double length_b = sqrt(dot(b, b));
+    for (int j = 0; j < 3; j++) b[j] /= length_b;
+    expand(b, tangents, lon, lat);
+
+    // Pixels of the samples, first where nothing has moved.
+    float u[PIXELS], v[PIXELS], grey[PIXELS], u_terms[6], v_terms[6];
+    for (int j = 0; j < 6; j++) {
+      const int order = j == 0 ? 0 : j < 3 ? 1 : 2;
+      const double steps = px_per_rad * pow(scale[i] * spacing_px / px_per_rad, order);
+      u_terms[j] = lon[j] * steps;
+      v_terms[j] = lat[j] * steps;
+    }
+    u_terms[0] += (width - 1) / 2.f;
+    v_terms[0] += (height - 1) / 2.f;
+    for (int row = 0, k = 0; row < SAMPLES; row++)
+      for (int column = 0; column < SAMPLES; column++, k++) {
+        const float e = column - SAMPLES / 2, s = row - SAMPLES / 2;
+        u[k] = u_terms[0] + e * (u_terms[1] + e * u_terms[3] + s * u_terms[4])
+               + s * (u_terms[2] + s * u_terms[5]);
+        v[k] = v_terms[0] + e * (v_terms[1] + e * v_terms[3] + s * v_terms[4])
+               + s * (v_terms[2] + s * v_terms[5]);
+      }
+
+    const size_t patch = rows[i] * levels + level;
+    const float *template = templates + patch * PIXELS, deviation = deviations[patch];
+    const float *along_east = solvers + patch * 2 * PIXELS, *along_south = along_east + PIXELS;
+    float moved_east = 0, moved_south = 0, difference = 0, length = 0;
+    for (int iteration = 0; iteration < iterations; iteration++) {
+      const float du = lon[1] * moved_east + lon[2] * moved_south;
+      const float dv = lat[1] * moved_east + lat[2] * moved_south;
+      float mean = 0, squares = 0;
+      read_patch(image, height, width, u, v, du, dv, grey);
+      for (int k = 0; k < PIXELS; k++) mean += grey[k];
+      mean /= PIXELS;
+      for (int k = 0; k < PIXELS; k++) squares += (grey[k] - mean) * (grey[k] - mean);
+      // Free of brightness and contrast.
+      const float gain = deviation / fmaxf(sqrtf(squares / PIXELS), min_contrast);
+      float step_east = 0, step_south = 0;
+      difference = 0;
+      for (int k = 0; k < PIXELS; k++) {
+        const float unlike = (grey[k] - mean) * gain - template[k];
+        difference += unlike * unlike;
+        step_east += along_east[k] * unlike;
+        step_south += along_south[k] * unlike;
+      }
+      length = scale[i] * sqrtf(step_east * step_east + step_south * step_south);
+      const float bounded = scale[i] * fminf(1, max_step_px / fmaxf(length, 1e-6f));
+      moved_east -= bounded * step_east;
+      moved_south -= bounded * step_south;
+      if (length < settled_px) break;
+    }
+    offset[0] += moved_east / px_per_rad;
+    offset[1] += moved_south / px_per_rad;
+    differences[i] = difference / PIXELS;
+    lengths_px[i] = length;
+  }
+}
+
+// The derivative of r = W b by z, with b = z / |z|: M = W (I − b bᵀ) / |z|. Returns r too.
+static inline void look(const double W[6], const double z[3], double r[2], double M[6]) {
+  const double length = sqrt(dot(z, z)), b[3] = {z[0] / length, z[1] / length, z[2] / length};
+  for (int k = 0; k < 2; k++) {
+    r[k] = dot(W + 3 * k, b);
+    for (int i = 0; i < 3; i++) M[3 * k + i] = (W[3 * k + i] - r[k] * b[i]) / length;
+  }
+}
+
+// A point with inverse depth rho, seen first from the origin c: q = p − c, z = R (x − rho q).
+static inline void see(const double R[9], const double p[3], const double x[3], const double c[3],
+                       double rho, double q[3], double z[3]) {
+  double in_world[3];
+  for (int j = 0; j < 3; j++) {
+    q[j] = p[j] - c[j];
+    in_world[j] = x[j] - rho * q[j];
+  }
+  turn(R, in_world, z);
+}
+
+// pose.residuals.
+void pose_residuals(int n, const double *R, const double *p, const double *x,
+                    const double *origins, const double *rho, const double *y,
+                    const double *whitening, double *r) {
+  for (int i = 0; i < n; i++) {
+    double q[3], z[3], off[3];
+    see(R, p, x + 3 * i, origins + 3 * i, rho[i], q, z);
+    const double length = sqrt(dot(z, z));
+    for (int j = 0; j < 3; j++) off[j] = z[j] / length - y[3 * i + j];
+    for (int k = 0; k < 2; k++) r[2 * i + k] = dot(whitening + 6 * i + 3 * k, off);
+  }
+}
+
+// pose.equations; H and g start at zero, the rest is set.
+void pose_equations(int n, const double *R, const double *p, const double *x,
+                    const double *origins, const double *rho, const double *whitening,
+                    const double *r, const double *weights, double *H, double *g, double *H_rp,
+                    double *H_rr, double *g_r) {
+  for (int i = 0; i < n; i++) {
+    double q[3], z[3], along_b[2], M[6], J[2][6], J_rho[2];
+    see(R, p, x + 3 * i, origins + 3 * i, rho[i], q, z);
+    look(whitening + 6 * i, z, along_b, M);
+    for (int k = 0; k < 2; k++) {
+      double along[3];
+      cross(z, M + 3 * k, J[k]);
+      turn_back(R, M + 3 * k, along);
+      for (int j = 0; j < 3; j++) J[k][3 + j] = -rho[i] * along[j];
+      J_rho[k] = -dot(along, q);
+    }
+    const double w = weights[i], *residual = r + 2 * i;
+    H_rr[i] = w * (J_rho[0] * J_rho[0] + J_rho[1] * J_rho[1]);
+    g_r[i] = w * (J_rho[0] * residual[0] + J_rho[1] * residual[1]);
+    for (int a = 0; a < 6; a++) {
+      H_rp[6 * i + a] = w * (J_rho[0] * J[0][a] + J_rho[1] * J[1][a]);
+      g[a] += w * (J[0][a] * residual[0] + J[1][a] * residual[1]);
+      for (int b = 0; b < 6; b++) H[6 * a + b] += w * (J[0][a] * J[0][b] + J[1][a] * J[1][b]);
+    }
+  }
+}
+
+// What a sighting of a point x with inverse depth rho, hosted by keyframe h, in keyframe k says.
+static inline void sight(const double *R_h, const double *p_h, const double *R_k,
+                         const double *p_k, const double *x, double rho, const double *y,
+                         const double *whitening, double x_world[3], double q[3], double z[3],
+                         double r[2], double M[6]) {
+  double W[6];
+  turn(R_h, x, x_world);
+  for (int j = 0; j < 3; j++) {
+    q[j] = p_k[j] - p_h[j];
+    z[j] = x_world[j] - rho * q[j];
+  }
+  for (int k = 0; k < 2; k++) turn(R_k, whitening + 3 * k, W + 3 * k);
+  look(W, z, r, M);
+  for (int k = 0; k < 2; k++) r[k] -= dot(whitening + 3 * k, y);
+}
+
+// bundle.residuals.
+void bundle_residuals(int sightings, const int64_t *keyframe, const int64_t *host,
+                      const int64_t *point, const double *R, const double *p, const double *x,
+                      const double *rho, const double *y, const double *whitening, double *r) {
+  for (int m = 0; m < sightings; m++) {
+    const int64_t k = keyframe[m], h = host[m], i = point[m];
+    double x_world[3], q[3], z[3], M[6];
+    sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x + 3 * i, rho[i], y + 3 * m,
+          whitening + 6 * m, x_world, q, z, r + 2 * m, M);
+  }
+}
+
+// bundle.normal_equations; slots (keyframes) are the places of those that are free, −1 of others.
+// All sums start at zero.
+void bundle_equations(int sightings, int columns, const int64_t *keyframe, const int64_t *host,
+                      const int64_t *point, const int64_t *slots, const double *R,
+                      const double *p, const double *x, const double *rho, const double *y,
+                      const double *whitening, const double *weights, double *H, double *g,
+                      double *H_rp, double *H_rr, double *g_r) {
+  for (int m = 0; m < sightings; m++) {
+    const int64_t k = keyframe[m], h = host[m], i = point[m];
+    const double weight = weights[m];
+    double x_world[3], q[3], z[3], r[2], M[6], J[2][2][6];
+    sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x + 3 * i, rho[i], y + 3 * m,
+          whitening + 6 * m, x_world, q, z, r, M);
+    const int64_t places[2] = {6 * slots[k], 6 * slots[h]};
+    for (int row = 0; row < 2; row++) {
+      const double *along = M + 3 * row, J_rho = -dot(along, q);
+      cross(along, z, J[0][row]);
+      cross(x_world, along, J[1][row]);
+      for (int j = 0; j < 3; j++) {
+        J[0][row][3 + j] = -rho[i] * along[j];
+        J[1][row][3 + j] = rho[i] * along[j];
+      }
+      H_rr[i] += weight * J_rho * J_rho;
+      g_r[i] += weight * J_rho * r[row];
+      for (int a = 0; a < 2; a++) {
+        if (places[a] < 0) continue;
+        for (int j = 0; j < 6; j++) {
+          const double weighted = weight * J[a][row][j];
+          g[places[a] + j] += weighted * r[row];
+          H_rp[i * columns + places[a] + j] += weighted * J_rho;
+          for (int c = 0; c < 2; c++) {
+            if (places[c] < 0) continue;
+            double *sums = H + (places[a] + j) * columns + places[c];
+            for (int l = 0; l < 6; l++) sums[l] += weighted * J[c][row][l];
+          }
+        }
+      }
+    }
+  }
+}
