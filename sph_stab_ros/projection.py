@@ -20,6 +20,8 @@ from typing import ClassVar, Protocol
 import cv2
 import numpy as np
 
+from sph_stab_ros import kernels
+
 # Of the order of cv2.remap's own fixed-point step, 1/32 px.
 TOLERANCE_PX = 0.1
 
@@ -76,6 +78,10 @@ class Equirect:
 
         ``equirect.pixels_from_bearings`` in half the time: planes instead of pairs.
         """
+        if kernels.library is not None:
+            u, v = np.empty((2, *x.shape), np.float32)
+            kernels.library.equirect_pixels(x.size, x, y, z, self.width, u, v)
+            return u, v
         rad_to_px = np.float32(self.width / (2 * np.pi))
         u = np.arctan2(x, z) * rad_to_px + np.float32(self.width / 2 - 0.5)
         v = np.arctan2(y, np.hypot(x, z)) * rad_to_px + np.float32(self.width / 4 - 0.5)
@@ -100,9 +106,12 @@ class Equirect:
 
 def to_grey(image, width):
     """Return the sphere (H, W[, 3]), BGR or grey, as a grey one (width / 2, width)."""
+    # Grey first: one channel is reduced in a third of the time of three.
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     if image.shape[1] != width:
         image = cv2.resize(image, (width, width // 2), interpolation=cv2.INTER_AREA)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    return image
 
 
 def bend(values):

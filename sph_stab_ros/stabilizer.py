@@ -27,17 +27,19 @@ to, and ``/diagnostics``. ``~/reset`` (std_srvs/Trigger) makes the next image's 
 world's, ``~/level`` makes the present one level, ``~/look_at_home`` turns all views to the world's
 front.
 
-The executor only stores the newest image and answers services and parameters; a worker thread
-decodes, stabilises and publishes. Images that come faster than that are dropped and counted. No
-lock is held meanwhile: what is asked for is left for the worker, which takes it over before its
-next image.
+The executor only stores the newest image and answers services and parameters. One worker thread
+decodes, tracks and publishes the orientation, another one draws and publishes pictures; images
+that come faster than that are dropped and counted. No lock is held meanwhile: what is asked for
+is left for the workers, who take it over before the next image.
 """
 
+from functools import partial
+import os
 import signal
 import sys
-from threading import Thread
 from time import monotonic
 
+import cv2
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
@@ -45,6 +47,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import limit_blas_threads, Parser
 from sph_stab_ros.config import ConfigError, VIEW
@@ -56,9 +59,9 @@ from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.messages import stamp_ns
-from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
 from sph_stab_ros.ros.outputs import Outputs
 from sph_stab_ros.ros.parameters import declare_parameters, undeclared_overrides
+from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization import FrameError, Stabilizer
 from sph_stab_ros.trajectory import NS_PER_S
 from std_msgs.msg import Header
@@ -87,7 +90,10 @@ class StabilizerNode(Node):
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/level', self._on_level)
         self.create_service(Trigger, '~/look_at_home', self._on_look_at_home)
-        self._inbox = OneSlotMailbox()
+        # Pictures take as long as tracking: while one is drawn the next frame is tracked, and the
+        # orientation waits for neither.
+        self._tracking = Worker('tracking', partial(self._safely, self._track))
+        self._drawing = Worker('drawing', partial(self._safely, self._draw))
         images = subscribe_to_images(self, 'image', config.image_transport, self._on_image)
         self._imu = ImuInput(self, self._stabilizer.add_imu, self._diagnostics)
         self._imu.listen(config.level == IMU)
@@ -98,7 +104,6 @@ class StabilizerNode(Node):
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
-        self._worker = Thread(target=self._work, name='worker')
         # A file of all defaults describes the view that there is by default, and the IMU may be
         # listened to later.
         later = f'{VIEW}.', f"qos_overrides.{self.resolve_topic_name('imu')}."
@@ -108,14 +113,14 @@ class StabilizerNode(Node):
         self.get_logger().info(f'waiting for images on {images.topic_name}')
 
     def start(self):
-        """Start the worker."""
-        self._worker.start()
+        """Start the workers."""
+        self._tracking.start()
+        self._drawing.start()
 
     def destroy_node(self):
-        """Let the worker finish its frame, then destroy the node."""
-        self._inbox.close()
-        if self._worker.is_alive():
-            self._worker.join()
+        """Let the workers finish their frames, then destroy the node."""
+        self._tracking.close()
+        self._drawing.close()
         super().destroy_node()
 
     # In the executor's thread.
@@ -125,7 +130,7 @@ class StabilizerNode(Node):
             self.get_logger().warning(
                 'image stamps are zero, times of receipt are used', once=True)
             msg.header.stamp = self.get_clock().now().to_msg()
-        self._inbox.put((msg, monotonic()))
+        self._tracking.put(msg, monotonic())
 
     def _on_reset(self, request, response):
         self._reset_wanted = True
@@ -164,24 +169,22 @@ class StabilizerNode(Node):
     def _publish_diagnostics(self):
         self._diagnostics_publisher.publish(DiagnosticArray(
             header=Header(stamp=self.get_clock().now().to_msg()),
-            status=[self._diagnostics.status(self._inbox.dropped)]))
+            status=[self._diagnostics.status(self._tracking.dropped, self._drawing.dropped)]))
 
-    # In the worker's thread.
+    # In the workers' threads.
 
-    def _work(self):
-        while (received := self._inbox.get()) is not None:
-            try:
-                self._process(*received)
-            except ImageError as error:
-                self._diagnostics.refuse(error.reason, error)
-            except FrameError as error:
-                self._diagnostics.refuse(error.reason, error)
-            except Exception as error:
-                # One frame must not end the node; after a shutdown nothing can be published.
-                if self.context.ok():
-                    self._diagnostics.refuse(type(error).__name__, f'{error!r}')
+    def _safely(self, work, *item):
+        """Do some work: one frame must not end the node."""
+        try:
+            work(*item)
+        except (ImageError, FrameError) as error:
+            self._diagnostics.refuse(error.reason, error)
+        except Exception as error:
+            # After a shutdown nothing can be published.
+            if self.context.ok():
+                self._diagnostics.refuse(type(error).__name__, f'{error!r}')
 
-    def _process(self, msg, received_s):
+    def _track(self, msg, received_s):
         cpu = self._diagnostics.cpu
         with cpu.stage('decode'):
             frame = Frame(
@@ -190,9 +193,13 @@ class StabilizerNode(Node):
             self._take_over_what_is_wanted()
             self._start_anew_where_time_went_back(frame.stamp_ns)
             stabilized = self._stabilizer.process(frame)
-        self._outputs.publish(stabilized, msg.header)
-        self._diagnostics.count_frame(stabilized, monotonic() - received_s,
-                                      self._stabilizer.tracker)
+        looks = self._outputs.publish_orientation(stabilized, msg.header)
+        self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
+        self._drawing.put(stabilized, msg.header.stamp, looks, received_s)
+
+    def _draw(self, stabilized, stamp, looks, received_s):
+        self._outputs.publish_pictures(stabilized, stamp, looks)
+        self._diagnostics.count_latency(monotonic() - received_s)
 
     def _take_over_what_is_wanted(self):
         if self._reset_wanted:
@@ -228,6 +235,8 @@ def main(args=None):
         print(f'stabilizer: cannot start: {error}', file=sys.stderr)
         return 2
     limit_blas_threads()
+    # Two workers share the cores.
+    cv2.setNumThreads(max((os.cpu_count() or 2) // 2, 1))
     node = None
     try:
         node = StabilizerNode()
@@ -243,6 +252,8 @@ def main(args=None):
             print(f'stabilizer: cannot start: {error}', file=sys.stderr)
             return 2
     finally:
+        # It is ending: rclpy's handler would touch what is freed meanwhile.
+        uninstall_signal_handlers()
         if node:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -139,7 +139,9 @@ def test_pictures_and_messages_are_made_for_subscribers_only():
     try:
         node = StabilizerNode()
         with mock.patch('rclpy.publisher.Publisher.publish') as publish:
-            node._outputs.publish(stabilized, Header())
+            header = Header()
+            looks = node._outputs.publish_orientation(stabilized, header)
+            node._outputs.publish_pictures(stabilized, header.stamp, looks)
         node.destroy_node()
     finally:
         rclpy.try_shutdown()

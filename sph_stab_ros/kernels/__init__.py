@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The anchored tracker's inner loops in C, built where there is a compiler at installation.
+The inner loops of the anchored tracker and the warp in C, built where there is a compiler at installation.
 
 The Python functions that call them have the same in NumPy, for elsewhere. Called by ctypes: no
 other thread waits for them, and they need neither Python's headers nor another package.
@@ -49,6 +49,7 @@ _TYPES = {
 }
 # As the functions in kernels.c take them.
 _ARGUMENTS = {
+    'equirect_pixels': 'ifffiFF',
     'settle_patches': 'ilddddbiiifffiixixxxDFF',
     'pose_residuals': 'idddddddD',
     'pose_equations': 'iddddddddDDDDD',

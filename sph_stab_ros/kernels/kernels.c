@@ -12,7 +12,7 @@
 // See the License for the specific language governing permissions and
 // limitations under the License.
 
-// The inner loops of the anchored tracker. Arrays are dense, in C order; the Python functions that
+// The inner loops of the anchored tracker and of the warp. Arrays are dense, in C order; the Python functions that
 // call these say what they mean, and do the same in NumPy where nothing was compiled.
 
 #include <math.h>
@@ -29,22 +29,53 @@
 #else
 #define WITH_WIDE_VECTORS
 #endif
+#if defined(__GNUC__)
+// Not only a wish: what is called must become part of each clone.
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
 
-static inline double dot(const double a[3], const double b[3]) {
+// Within 1e-7, by a polynomial that compilers make vectors of (Abramowitz and Stegun 4.4.49).
+INLINE float arctan2(float y, float x) {
+  const float longer = fmaxf(fabsf(x), fabsf(y)), shorter = fminf(fabsf(x), fabsf(y));
+  const float t = shorter / fmaxf(longer, 1e-30f), s = t * t;
+  float angle = t + t * s * (-0.3333314528f + s * (0.1999355085f + s * (-0.1420889944f
+                + s * (0.1065626393f + s * (-0.0752896400f + s * (0.0429096138f
+                + s * (-0.0161657367f + s * 0.0028662257f)))))));
+  angle = fabsf(y) > fabsf(x) ? (float)(PI / 2) - angle : angle;
+  angle = x < 0 ? (float)PI - angle : angle;
+  return copysignf(angle, y);
+}
+
+// Equirect.pixels of n bearings, in a picture so wide.
+WITH_WIDE_VECTORS
+void equirect_pixels(int n, const float *x, const float *y, const float *z, int width, float *u,
+                     float *v) {
+  const float rad_to_px = width / (2 * PI), u_middle = width / 2. - 0.5,
+              v_middle = width / 4. - 0.5, v_last = width / 2. - 1;
+  for (int i = 0; i < n; i++) {
+    u[i] = arctan2(x[i], z[i]) * rad_to_px + u_middle;
+    const float below = arctan2(y[i], sqrtf(x[i] * x[i] + z[i] * z[i])) * rad_to_px + v_middle;
+    v[i] = fminf(fmaxf(below, 0), v_last);
+  }
+}
+
+INLINE double dot(const double a[3], const double b[3]) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-static inline void cross(const double a[3], const double b[3], double out[3]) {
+INLINE void cross(const double a[3], const double b[3], double out[3]) {
   out[0] = a[1] * b[2] - a[2] * b[1];
   out[1] = a[2] * b[0] - a[0] * b[2];
   out[2] = a[0] * b[1] - a[1] * b[0];
 }
 
-static inline void turn(const double R[9], const double x[3], double out[3]) {
+INLINE void turn(const double R[9], const double x[3], double out[3]) {
   for (int i = 0; i < 3; i++) out[i] = dot(R + 3 * i, x);
 }
 
-static inline void turn_back(const double R[9], const double x[3], double out[3]) {
+INLINE void turn_back(const double R[9], const double x[3], double out[3]) {
   for (int i = 0; i < 3; i++) out[i] = R[i] * x[0] + R[3 + i] * x[1] + R[6 + i] * x[2];
 }
 
@@ -77,7 +108,7 @@ static void expand(const double b[3], const double *tangents[2], double lon[6], 
 
 // Read an image bilinearly at the pixels of a patch, moved by du and dv; its edge goes on for ever.
 // Several loops, because compilers make vectors of all but the one in the middle.
-static inline void read_patch(const uint8_t *image, int height, int width, const float u[PIXELS],
+INLINE void read_patch(const uint8_t *image, int height, int width, const float u[PIXELS],
                               const float v[PIXELS], float du, float dv, float grey[PIXELS]) {
   int index[PIXELS];
   float right[PIXELS], down[PIXELS];
@@ -178,7 +209,7 @@ void settle_patches(
 }
 
 // The derivative of r = W b by z, with b = z / |z|: M = W (I − b bᵀ) / |z|. Returns r too.
-static inline void look(const double W[6], const double z[3], double r[2], double M[6]) {
+INLINE void look(const double W[6], const double z[3], double r[2], double M[6]) {
   const double length = sqrt(dot(z, z)), b[3] = {z[0] / length, z[1] / length, z[2] / length};
   for (int k = 0; k < 2; k++) {
     r[k] = dot(W + 3 * k, b);
@@ -187,7 +218,7 @@ static inline void look(const double W[6], const double z[3], double r[2], doubl
 }
 
 // A point with inverse depth rho, seen first from the origin c: q = p − c, z = R (x − rho q).
-static inline void see(const double R[9], const double p[3], const double x[3], const double c[3],
+INLINE void see(const double R[9], const double p[3], const double x[3], const double c[3],
                        double rho, double q[3], double z[3]) {
   double in_world[3];
   for (int j = 0; j < 3; j++) {
@@ -238,7 +269,7 @@ void pose_equations(int n, const double *R, const double *p, const double *x,
 }
 
 // What a sighting of a point x with inverse depth rho, hosted by keyframe h, in keyframe k says.
-static inline void sight(const double *R_h, const double *p_h, const double *R_k,
+INLINE void sight(const double *R_h, const double *p_h, const double *R_k,
                          const double *p_k, const double *x, double rho, const double *y,
                          const double *whitening, double x_world[3], double q[3], double z[3],
                          double r[2], double M[6]) {

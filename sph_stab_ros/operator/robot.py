@@ -22,7 +22,6 @@ images are encoded as JPEG. Without a browser no images are subscribed to.
 
 import asyncio
 from dataclasses import dataclass
-from threading import Thread
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -39,7 +38,7 @@ from sph_stab_ros.recording.images import encode_jpeg, image_from_message, Image
 from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.image_topics import compressed_topic, subscribe_to_images
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
-from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
+from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.smoothing import MODES, Smoother
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -106,9 +105,8 @@ class Robot(Node):
         self._question, self._next_question_s = Future(), 0.
         self._log = ThrottledLog(self.get_logger().warning)
         self._pairing = Pairing(show)
-        self._inbox = OneSlotMailbox()
-        self._worker = Thread(target=self._work, name='encoder', daemon=True)
-        self._worker.start()
+        self._encoding = Worker('encoding', self._encode)
+        self._encoding.start()
 
         self._look = self.create_publisher(QuaternionStamped, 'view/direction', 10)
         self._reset = self.create_client(Trigger, f'{stabilizer}/reset')
@@ -124,8 +122,7 @@ class Robot(Node):
 
     def destroy_node(self):
         """End the worker and the node."""
-        self._inbox.close()
-        self._worker.join()
+        self._encoding.close()
         super().destroy_node()
 
     # For the web server, from its thread.
@@ -219,7 +216,7 @@ class Robot(Node):
 
     def _on_image(self, msg):
         self._image_s = monotonic()
-        self._inbox.put((msg, self._image_s))
+        self._encoding.put(msg, self._image_s)
 
     def _on_diagnostics(self, msg):
         for status in msg.status:
@@ -268,18 +265,16 @@ class Robot(Node):
 
     # In the worker's thread.
 
-    def _work(self):
-        while (received := self._inbox.get()) is not None:
-            msg, received_s = received
-            try:
-                # Not numpy's: that would be a view of the message.
-                data = bytes(msg.data) if hasattr(msg, 'format') else \
-                    encode_jpeg(image_from_message(msg), JPEG_QUALITY).tobytes()
-            except ImageError as error:
-                self._log.warn(error.reason, f'image left out, {error}')
-            else:
-                self._pairing.add_picture(Picture(
-                    stamp_ns(msg.header.stamp), data, received_s, derotated=self._derotated))
+    def _encode(self, msg, received_s):
+        try:
+            # Not numpy's: that would be a view of the message.
+            data = bytes(msg.data) if hasattr(msg, 'format') else \
+                encode_jpeg(image_from_message(msg), JPEG_QUALITY).tobytes()
+        except ImageError as error:
+            self._log.warn(error.reason, f'image left out, {error}')
+        else:
+            self._pairing.add_picture(Picture(
+                stamp_ns(msg.header.stamp), data, received_s, derotated=self._derotated))
 
 
 def sentence(text):

@@ -61,14 +61,14 @@ class Diagnostics:
         self._uncertainty_rad = self._keyframes = self._still_pixels = None
         self._start_period()
 
-    def count_frame(self, stabilized, latency_s, tracker=None):
-        """Count a StabilizedFrame of a Tracker's, published ``latency_s`` after its receipt."""
+    def count_frame(self, stabilized, tracker=None):
+        """Count a StabilizedFrame of a Tracker's."""
         with self._lock:
             self._frames += 1
             self._status = stabilized.status
             self._gravity_is_known = Notice.NO_GRAVITY not in stabilized.notices
             self._tracking[stabilized.status] += 1
-            self._latencies_s.append(latency_s)
+            self._frames_in_period += 1
             self._uncertainty_rad = stabilized.uncertainty_rad
             self._keyframes = getattr(tracker, 'keyframes_kept', None)
             self._still_pixels = getattr(tracker, 'still_pixels', None)
@@ -76,6 +76,11 @@ class Diagnostics:
             self.notice(notice.name.lower(), notice.value)
         if stabilized.status is not TrackingStatus.OK:
             self._log.warn(stabilized.status, f'no rotation found: {stabilized.status.value}')
+
+    def count_latency(self, latency_s):
+        """Count a frame of which everything was published so long after its receipt."""
+        with self._lock:
+            self._latencies_s.append(latency_s)
 
     def notice(self, name, text):
         """Count and log something that users should hear of."""
@@ -101,20 +106,25 @@ class Diagnostics:
             self._imu_refused += 1
         self._log.warn('imu', f'imu ignored: {error}')
 
-    def status(self, dropped):
-        """Return the DiagnosticStatus of the time since the last call."""
+    def status(self, dropped, not_drawn):
+        """
+        Return the DiagnosticStatus of the time since the last call.
+
+        So many frames were ``dropped`` in all, and so many tracked but not drawn.
+        """
         with self._lock:
             elapsed_s = monotonic() - self._period_start_s
             latencies_s = self._latencies_s
             level, message = self._judgement()
             values = {
                 'tracking': self._status.value if self._status else 'waiting',
-                'rate_hz': f'{len(latencies_s) / elapsed_s:.1f}',
+                'rate_hz': f'{self._frames_in_period / elapsed_s:.1f}',
                 'latency_ms': f'{1e3 * sum(latencies_s) / max(len(latencies_s), 1):.1f}',
                 'frames': self._frames,
                 **{f'frames: {status.value}': self._tracking[status] for status in TrackingStatus},
                 **self._state(),
                 'dropped': dropped,
+                'tracked, not drawn': not_drawn,
                 'refused': sum(self._refused.values()),
                 **{f'refused: {reason}': n for reason, n in sorted(self._refused.items())},
                 **self._of_imu(elapsed_s),
@@ -145,6 +155,7 @@ class Diagnostics:
     def _start_period(self):
         self._period_start_s = monotonic()
         self._imu_samples = 0
+        self._frames_in_period = 0
         self._latencies_s = []
         self._last_refusal = None
 
@@ -152,7 +163,7 @@ class Diagnostics:
         """Return level and message of the present period."""
         if self._last_refusal:
             return DiagnosticStatus.WARN, f'images are refused: {self._last_refusal}'
-        if not self._latencies_s:
+        if not self._frames_in_period:
             return DiagnosticStatus.WARN, 'no images'
         if self._status is not TrackingStatus.OK:
             return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'

@@ -62,15 +62,27 @@ class Outputs:
         for view in self._views:
             view.look_home()
 
-    def publish(self, stabilized, image_header):
-        """Publish a StabilizedFrame made of an image with a Header."""
+    def publish_orientation(self, stabilized, image_header):
+        """
+        Publish where the camera of a StabilizedFrame looks, made of an image with a Header.
+
+        Return the present Looks, for the pictures to go with it.
+        """
         header = Header(stamp=image_header.stamp, frame_id=self._config.stabilized_frame)
-        looks = [(view, view.look()) for view in self._views]
+        looks = [view.look() for view in self._views]
         with self._cpu.stage('publish'):
-            self._publish_orientation(stabilized, header)
+            if is_wanted(self._orientation):
+                self._orientation.publish(orientation_message(header, stabilized.R_world_camera))
+            if stabilized.covariance is not None and is_wanted(self._pose):
+                self._pose.publish(
+                    pose_message(header, stabilized.R_world_camera, stabilized.covariance))
             if self._config.publish_tf and self._transforms.wanted:
                 self._transforms.publish(
                     image_header, stabilized.R_world_camera, self._leaves(stabilized, looks))
+        return looks
+
+    def publish_pictures(self, stabilized, stamp, looks):
+        """Publish the stabilised sphere, and the views along the Looks."""
         if self._sphere.wanted:
             with self._cpu.stage('warp'):
                 image = stabilized.sphere()
@@ -78,21 +90,16 @@ class Outputs:
                     mark_sphere(image, stabilized.R_camera_virtual.inv(),
                                 np.deg2rad(self._config.front_yaw_deg))
             with self._cpu.stage('publish'):
-                if stabilized.R_world_virtual.magnitude() > SAME_FRAME_RAD:
-                    header.frame_id = self._config.virtual_frame
+                is_virtual = stabilized.R_world_virtual.magnitude() > SAME_FRAME_RAD
+                header = Header(stamp=stamp, frame_id=(
+                    self._config.virtual_frame if is_virtual else self._config.stabilized_frame))
                 self._sphere.publish(header, image, self._config.jpeg_quality)
-        for view, look in looks:
-            view.publish(stabilized, header.stamp, look, self._cpu)
+        for view, look in zip(self._views, looks):
+            view.publish(stabilized, stamp, look, self._cpu)
 
     def _leaves(self, stabilized, looks):
         """Return the frames in the world and their orientations, ``R_world_leaf``."""
         R_world_virtual = stabilized.R_world_virtual
         return {self._config.virtual_frame: R_world_virtual,
-                **{view.frame_id: R_world_virtual * look.R_virtual_view for view, look in looks}}
-
-    def _publish_orientation(self, stabilized, header):
-        if is_wanted(self._orientation):
-            self._orientation.publish(orientation_message(header, stabilized.R_world_camera))
-        if stabilized.covariance is not None and is_wanted(self._pose):
-            self._pose.publish(
-                pose_message(header, stabilized.R_world_camera, stabilized.covariance))
+                **{view.frame_id: R_world_virtual * look.R_virtual_view
+                   for view, look in zip(self._views, looks)}}

@@ -1,0 +1,55 @@
+# Copyright 2026 The sph_stab_ros developers
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""A thread that always works on the newest item; those it has no time for are dropped."""
+
+from threading import Thread
+
+from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
+
+
+class Worker:
+    """
+    Calls ``work(*item)`` in a thread of its own for the newest item put.
+
+    ``work`` must not raise anything.
+    """
+
+    def __init__(self, name, work):
+        self._mailbox = OneSlotMailbox()
+        self._work = work
+        self._thread = Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def dropped(self):
+        """Return how many items gave way to newer ones."""
+        return self._mailbox.dropped
+
+    def start(self):
+        """Start to work."""
+        self._thread.start()
+
+    def put(self, *item):
+        """Leave something to be worked on, in place of what is not begun yet."""
+        self._mailbox.put(item)
+
+    def close(self):
+        """Let the work at hand be finished, and wait for that."""
+        self._mailbox.close()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _run(self):
+        while (item := self._mailbox.get()) is not None:
+            self._work(*item)
