@@ -65,7 +65,8 @@ def add_points(surroundings, x, rho, ids):
     """Let the last keyframe host landmarks along x (N, 3) in its camera, at known depths."""
     n = len(ids)
     new = Landmarks(ids, np.full(n, surroundings.keyframes[-1].number), x, x, x, rho, np.ones(n),
-                    np.zeros(n, int), np.zeros(n, int), np.ones(n, bool), some_patches(n))
+                    np.zeros(n, int), np.zeros(n, int), np.ones(n, bool),
+                    surroundings.store.put(some_patches(n)))
     known = surroundings.landmarks
     surroundings.landmarks = new if known is None else Landmarks.joined((known, new))
 

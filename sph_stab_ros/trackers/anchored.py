@@ -226,10 +226,10 @@ class AnchoredTracker:
 
     def _is_keyframe(self, location):
         seen = location.rows[location.agreeing]
-        last = self._map.keyframes[-1]
+        last, some = self._map.keyframes[-1], seen[::4]
         parallax_rad = np.median(np.linalg.norm(
-            self._map.directions(seen, self._position)
-            - self._map.directions(seen, last.position), axis=1))
+            self._map.directions(some, self._position)
+            - self._map.directions(some, last.position), axis=1))
         if parallax_rad > MAX_PARALLAX_RAD:
             return True
         # In the beginning those that move by themselves must have time to tell.

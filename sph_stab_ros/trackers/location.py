@@ -134,8 +134,9 @@ def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable):
              / (1 + np.einsum('ni,ni->n', x, b)))[:, None] * (x + b)
     east = east @ R_world_camera
     south = np.cross(expected, east)
-    offsets, correlation, last_step_px = landmarks.patches.find(
-        rows, pyramid, expected, east, south, 1 / distance)
+    patches = surroundings.store.patches
+    offsets, correlation, last_step_px = patches.find(
+        landmarks.patch[rows], pyramid, expected, east, south, 1 / distance)
     found = ((correlation > MIN_CORRELATION) & (last_step_px < MAX_LAST_STEP_PX)
              & (np.linalg.norm(offsets, axis=1) * pyramid.px_per_rad() < MAX_OFFSET_PX))
     rows, offsets, expected, east, south = (
@@ -143,7 +144,7 @@ def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable):
     y = expected + offsets[:, :1] * east + offsets[:, 1:] * south
     y /= np.linalg.norm(y, axis=1, keepdims=True)
     px_per_rad = min(pyramid.px_per_rad(), MAX_PX_PER_RAD)
-    whitening = (landmarks.patches.root_information[rows] * px_per_rad
+    whitening = (patches.root_information[landmarks.patch[rows]] * px_per_rad
                  @ np.stack((east, south), axis=1))
     return rows, Points(x[found], origins[found], landmarks.inverse_depth[rows],
                         landmarks.information[rows], y, whitening)

@@ -19,7 +19,7 @@ A patch is read on a plane that touches the sphere, so that neither latitude nor
 changes it; and it is found again straight in the camera's picture, where no second warp blurs.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -185,6 +185,32 @@ class Patches(Rows):
             u -= np.einsum('ni,ni->n', u_moves, step)[:, None]
             v -= np.einsum('ni,ni->n', v_moves, step)[:, None]
         return np.einsum('np,np->n', grey, grey) / grey.shape[1], length
+
+
+class PatchStore:
+    """Patches that stay where they are: thousands of them take milliseconds to be moved."""
+
+    def __init__(self):
+        self.patches = None
+        self._free = np.empty(0, int)
+
+    def put(self, patches):
+        """Take in Patches and return the rows (N,) in which they are."""
+        missing = len(patches) - len(self._free)
+        if missing > 0:
+            size = 0 if self.patches is None else len(self.patches)
+            more = max(missing, size // 2)
+            room = patches[np.zeros(more, int)]
+            self.patches = room if self.patches is None else Patches.joined((self.patches, room))
+            self._free = np.concatenate((self._free, np.arange(size, size + more)))
+        rows, self._free = np.split(self._free, [len(patches)])
+        for one in fields(Patches) if len(patches) else ():
+            getattr(self.patches, one.name)[rows] = getattr(patches, one.name)
+        return rows
+
+    def give_back(self, rows):
+        """Let others use these rows (N,) from now on."""
+        self._free = np.concatenate((self._free, rows))
 
 
 def _root_information(G):
