@@ -47,7 +47,8 @@ MAX_INVERSE_DEPTH = 5.0
 # A scale above this says that not all of it is one scene, and other starts are tried.
 DOUBTFUL_SCALE = 1.5
 # Of so many random choices of cells, in each of which such a share is taken, the best few are
-# refined. Of 28 starts among walkers all end within 0.1° of the truth, without these 8 within 0.3°.
+# refined. Of 28 starts among walkers all end within 0.1° of the truth, without these 8 within
+# 0.3°.
 TRIALS = 40
 TRIED_SHARE = 0.3
 MIN_TRIED = 10
@@ -209,11 +210,11 @@ def residuals(points, R, p, rho):
 
 def equations(points, R, p, rho, r, w):
     """
-    Return the normal equations of residuals r (N, 2), weighted by w (N,), and of the depths' prior.
+    Return the normal equations of residuals r (N, 2), weighted by w (N,), and of prior depths.
 
     H (6, 6) and g (6,) of the pose, H_rp (N, 6) between depths and pose, H_rr and g_r (N,) of
-    the depths. ``W db = M dz`` with ``M = W (I − b bᵀ) / |z|`` and ``dz = ω × z − ρ R dp − R q dρ``,
-    q = p − c.
+    the depths. ``W db = M dz`` with ``M = W (I − b bᵀ) / |z|`` and, q = p − c,
+    ``dz = ω × z − ρ R dp − R q dρ``.
     """
     accumulate = _accumulate if kernels.library is None else _accumulate_compiled
     H, g, H_rp, H_rr, g_r = accumulate(points, R, p, rho, r, w)

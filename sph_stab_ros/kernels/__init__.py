@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The inner loops of the anchored tracker and the warp in C, built where there is a compiler at installation.
+The inner loops of the anchored tracker and the warp, built where there is a C compiler.
 
 The Python functions that call them have the same in NumPy, for elsewhere. Called by ctypes: no
 other thread waits for them, and they need neither Python's headers nor another package.

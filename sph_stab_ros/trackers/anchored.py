@@ -50,6 +50,8 @@ RETURNING_SIZE = 8.0
 POSITION_SIGMA_PER_S = 0.6
 MIN_POSITION_SIGMA = 0.02
 INERTIA = 0.8
+# After a longer time patches are searched coarsely first.
+MAX_FINE_S = 0.05
 # After a loss the last keyframes are tried, from these headings.
 MAX_CANDIDATES = 6
 YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
@@ -165,7 +167,8 @@ class AnchoredTracker:
             self._map, np.flatnonzero(self._map.landmarks.active), view.pyramid,
             self._R_world_camera * R_camera_last.inv(),
             self._position + INERTIA * elapsed_s * self._velocity_per_s,
-            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._is_usable)
+            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._is_usable,
+            coarsely=elapsed_s > MAX_FINE_S)
 
     def _relocate(self, view):
         """Return the Location near one of the last keyframes, whatever the camera has done."""
@@ -185,7 +188,7 @@ class AnchoredTracker:
             location = locate(
                 self._map, rows, view.pyramid,
                 Rotation.from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
-                POSITION_SIGMA_PER_S, self._is_usable)
+                POSITION_SIGMA_PER_S, self._is_usable, coarsely=True)
             if location is not None:
                 landmarks.active[location.rows] = True
                 landmarks.missed[location.rows] = 0

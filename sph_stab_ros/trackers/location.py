@@ -20,7 +20,7 @@ import numpy as np
 
 from sph_stab_ros.estimators.pose import (
     fit_depths, fit_pose, fit_pose_among_movers, Points, PoseEstimate)
-from sph_stab_ros.trackers.patches import MAX_LATITUDE_RAD
+from sph_stab_ros.trackers.patches import LEVELS, MAX_LATITUDE_RAD
 from sph_stab_ros.trackers.surroundings import Sightings, trusted
 
 MIN_POINTS = 20
@@ -67,7 +67,8 @@ class Location:
                          self.points.whitening[which])
 
 
-def locate(surroundings, rows, pyramid, R_world_camera, position, position_sigma, is_usable):
+def locate(surroundings, rows, pyramid, R_world_camera, position, position_sigma, is_usable,
+           coarsely):
     """
     Return the Location of a camera from a guess, None where it cannot be told.
 
@@ -87,12 +88,15 @@ def locate(surroundings, rows, pyramid, R_world_camera, position, position_sigma
         Standard deviation of the latter.
     is_usable : callable
         Tells of bearings (N, 3) in the camera which to use.
+    coarsely : bool
+        Whether the guess may be off by more than 2 px, including all depths.
 
     """
     guess = position
     for _ in range(MAX_ATTEMPTS):
         found, points = look_for(
-            surroundings, rows, pyramid, R_world_camera, guess, is_usable)
+            surroundings, rows, pyramid, R_world_camera, guess, is_usable,
+            LEVELS if coarsely else 1)
         if len(found) < MIN_POINTS:
             return None
         mature = surroundings.landmarks.agreed[found] >= MATURE_FRAMES
@@ -110,10 +114,11 @@ def locate(surroundings, rows, pyramid, R_world_camera, position, position_sigma
         R_world_camera, guess = pose.R_camera_world.inv(), pose.position
         if off_rad < GOOD_PREDICTION_RAD:
             break
+        coarsely = True
     return Location(found, points, pose, agreeing)
 
 
-def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable):
+def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable, levels=LEVELS):
     """Return which of the landmarks in rows are found from a guessed pose, and as what Points."""
     R, origins = surroundings.hosts(rows)
     landmarks = surroundings.landmarks
@@ -136,7 +141,7 @@ def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable):
     south = np.cross(expected, east)
     patches = surroundings.store.patches
     offsets, correlation, last_step_px = patches.find(
-        landmarks.patch[rows], pyramid, expected, east, south, 1 / distance)
+        landmarks.patch[rows], pyramid, expected, east, south, 1 / distance, levels)
     found = ((correlation > MIN_CORRELATION) & (last_step_px < MAX_LAST_STEP_PX)
              & (np.linalg.norm(offsets, axis=1) * pyramid.px_per_rad() < MAX_OFFSET_PX))
     rows, offsets, expected, east, south = (

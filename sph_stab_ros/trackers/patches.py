@@ -38,11 +38,10 @@ SPACING_PX = 1.5
 # what it moves.
 MARGIN_PX = 48
 MAX_LATITUDE_RAD = np.deg2rad(68)
-# Iterations from the coarse level to the fine one, the largest step of each, and one so small
-# that it is the last.
-ITERATIONS = (3, 4)
+# Iterations at each level, the largest step, and one so small that it is the last.
+ITERATIONS = (4, 3)
 MAX_STEP_PX = 2.0
-SETTLED_PX = (0.3, 0.1)
+SETTLED_PX = (0.1, 0.3)
 MIN_CONTRAST = 1.0
 # Standard deviation of a strong corner, and the mean squared gradient that makes one.
 CORNER_SIGMA_PX = 0.1
@@ -116,7 +115,7 @@ class Patches(Rows):
         templates, deviations, solvers = (np.stack(one, axis=1) for one in zip(*levels))
         return cls(templates, deviations, solvers, root_information)
 
-    def find(self, rows, pyramid, expected, east, south, scale):
+    def find(self, rows, pyramid, expected, east, south, scale, levels=LEVELS):
         """
         Return where the patches in rows are in a picture.
 
@@ -132,6 +131,8 @@ class Patches(Rows):
             Where to look first, in the camera, and the patches' tangents there.
         scale : (N,)
             How many times as large the patches have become.
+        levels : int
+            Of the pyramid to use; with one they must be within 2 px.
 
         Returns
         -------
@@ -147,24 +148,23 @@ class Patches(Rows):
             np.ascontiguousarray(one) for one in (expected, east, south, scale))
         offsets = np.zeros((len(rows), 2))
         settle = self._settle if kernels.library is None else self._settle_compiled
-        for level, iterations in zip(reversed(range(LEVELS)), ITERATIONS):
+        for level in reversed(range(levels)):
             difference, length = settle(
-                rows, pyramid, level, expected, east, south, scale, iterations, offsets)
+                rows, pyramid, level, expected, east, south, scale, offsets)
         deviation = np.maximum(self.deviations[rows, level], MIN_CONTRAST)
         return offsets, 1 - difference / (2 * deviation ** 2), length
 
-    def _settle_compiled(self, rows, pyramid, level, expected, east, south, scale, iterations,
-                         offsets):
+    def _settle_compiled(self, rows, pyramid, level, expected, east, south, scale, offsets):
         difference, length = np.zeros((2, len(rows)), np.float32)
         image = pyramid.images[level]
         kernels.library.settle_patches(
             len(rows), rows, expected, east, south, scale, image, *image.shape,
             pyramid.margin_px, self.templates, self.deviations, self.solvers, level, LEVELS,
-            SPACING_PX, iterations, MAX_STEP_PX, SETTLED_PX[LEVELS - 1 - level], MIN_CONTRAST,
+            SPACING_PX, ITERATIONS[level], MAX_STEP_PX, SETTLED_PX[level], MIN_CONTRAST,
             offsets, difference, length)
         return difference, length
 
-    def _settle(self, rows, pyramid, level, expected, east, south, scale, iterations, offsets):
+    def _settle(self, rows, pyramid, level, expected, east, south, scale, offsets):
         """Improve offsets (N, 2) in place; return mean squared differences, last steps (N,)."""
         px = pyramid.px_per_rad(level)
         b = expected + offsets[:, :1] * east + offsets[:, 1:] * south
@@ -172,7 +172,7 @@ class Patches(Rows):
         u, v, u_moves, v_moves = _maps(b, east, south, pyramid, level, SAMPLES, scale)
         template, deviation = self.templates[rows, level], self.deviations[rows, level]
         solver = self.solvers[rows, level] * np.float32(scale)[:, None, None]
-        for _ in range(iterations):
+        for _ in range(ITERATIONS[level]):
             grey = pyramid.read(level, u, v)
             grey -= grey.mean(axis=1, keepdims=True)
             seen = np.sqrt(np.einsum('np,np->n', grey, grey) / grey.shape[1])
