@@ -198,6 +198,11 @@ class Stabilizer:
             frame, R_world_camera, tracked.status, notices,
             turned(self._covariance, R_world_origin), R_world_virtual, self._projection)
 
+    def settle(self):
+        """Do what the last frame did not have to wait for; the next one will do it otherwise."""
+        if self._tracker is not None:
+            self._tracker.settle()
+
     def _notices(self, frame):
         if self._last is None:
             return

@@ -68,6 +68,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 DIAGNOSTICS_PERIOD_S = 1.0
+SWITCH_INTERVAL_S = 0.0005
 # Stamps that jitter by less are no jump back in time.
 MAX_JITTER_S = 0.1
 
@@ -196,6 +197,8 @@ class StabilizerNode(Node):
         looks = self._outputs.publish_orientation(stabilized, msg.header)
         self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
         self._drawing.put(stabilized, msg.header.stamp, looks, received_s)
+        with cpu.stage('track'):
+            self._stabilizer.settle()
 
     def _draw(self, stabilized, stamp, looks, received_s):
         self._outputs.publish_pictures(stabilized, stamp, looks)
@@ -235,7 +238,10 @@ def main(args=None):
         print(f'stabilizer: cannot start: {error}', file=sys.stderr)
         return 2
     limit_blas_threads()
-    # Two workers share the cores.
+    # Two workers share the interpreter: each call that gives it away would wait for the other's
+    # turn of 5 ms.
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    # And the cores.
     cv2.setNumThreads(max((os.cpu_count() or 2) // 2, 1))
     node = None
     try:

@@ -9,6 +9,7 @@ from unittest import mock
 import numpy as np
 
 from sph_stab_ros.config import StabilizerConfig
+from sph_stab_ros.estimators import pose
 from sph_stab_ros.evaluation import evaluate_against_truth
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS
@@ -21,6 +22,8 @@ VARIANTS = {
     'one keyframe adjusted at a time': ((surroundings, 'ADJUSTED_KEYFRAMES', 1),),
     'landmarks at rest are not looked for': ((anchored, 'MAX_RETURNING', 0),),
     '300 landmarks': ((surroundings, 'MAX_LANDMARKS', 300),),
+    'no random starts where much moves': ((pose, 'TRIALS', 0),),
+    'always searched coarsely first': ((anchored, 'MAX_FINE_S', -1.),),
     'corrections at once': ((anchored, 'MAX_CORRECTION_RAD', np.pi),),
 }
 

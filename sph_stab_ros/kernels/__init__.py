@@ -50,6 +50,7 @@ _TYPES = {
 # As the functions in kernels.c take them.
 _ARGUMENTS = {
     'equirect_pixels': 'ifffiFF',
+    'read_pixels': 'ibiiffF',
     'settle_patches': 'ilddddbiiifffiixixxxDFF',
     'pose_residuals': 'idddddddD',
     'pose_equations': 'iddddddddDDDDD',

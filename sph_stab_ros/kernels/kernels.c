@@ -106,14 +106,14 @@ static void expand(const double b[3], const double *tangents[2], double lon[6], 
   }
 }
 
-// Read an image bilinearly at the pixels of a patch, moved by du and dv; its edge goes on for ever.
+// Read an image bilinearly at up to PIXELS pixels, moved by du and dv; its edge goes on for ever.
 // Several loops, because compilers make vectors of all but the one in the middle.
-INLINE void read_patch(const uint8_t *image, int height, int width, const float u[PIXELS],
-                              const float v[PIXELS], float du, float dv, float grey[PIXELS]) {
+INLINE void read_some(int n, const uint8_t *image, int height, int width, const float *u,
+                      const float *v, float du, float dv, float *grey) {
   int index[PIXELS];
   float right[PIXELS], down[PIXELS];
   uint8_t corners[4][PIXELS];
-  for (int k = 0; k < PIXELS; k++) {
+  for (int k = 0; k < n; k++) {
     const float column = fminf(fmaxf(u[k] + du, 0), width - 1.001f);
     const float row = fminf(fmaxf(v[k] + dv, 0), height - 1.001f);
     const int left = (int)column, top = (int)row;
@@ -121,18 +121,26 @@ INLINE void read_patch(const uint8_t *image, int height, int width, const float 
     down[k] = row - top;
     index[k] = top * width + left;
   }
-  for (int k = 0; k < PIXELS; k++) {
+  for (int k = 0; k < n; k++) {
     const uint8_t *pixel = image + index[k];
     corners[0][k] = pixel[0];
     corners[1][k] = pixel[1];
     corners[2][k] = pixel[width];
     corners[3][k] = pixel[width + 1];
   }
-  for (int k = 0; k < PIXELS; k++) {
+  for (int k = 0; k < n; k++) {
     const float above = corners[0][k] + right[k] * (corners[1][k] - corners[0][k]);
     const float below = corners[2][k] + right[k] * (corners[3][k] - corners[2][k]);
     grey[k] = above + down[k] * (below - above);
   }
+}
+
+// Pyramid.read.
+WITH_WIDE_VECTORS
+void read_pixels(int n, const uint8_t *image, int height, int width, const float *u,
+                 const float *v, float *grey) {
+  for (int i = 0; i < n; i += PIXELS)
+    read_some(n - i < PIXELS ? n - i : PIXELS, image, height, width, u + i, v + i, 0, 0, grey + i);
 }
 
 // One level of Patches.find. Templates (., levels, PIXELS), deviations (., levels) and solvers
@@ -181,7 +189,7 @@ void settle_patches(
       const float du = lon[1] * moved_east + lon[2] * moved_south;
       const float dv = lat[1] * moved_east + lat[2] * moved_south;
       float mean = 0, squares = 0;
-      read_patch(image, height, width, u, v, du, dv, grey);
+      read_some(PIXELS, image, height, width, u, v, du, dv, grey);
       for (int k = 0; k < PIXELS; k++) mean += grey[k];
       mean /= PIXELS;
       for (int k = 0; k < PIXELS; k++) squares += (grey[k] - mean) * (grey[k] - mean);

@@ -104,6 +104,7 @@ class AnchoredTracker:
         self._velocity_per_s = np.zeros(3)
         self._covariance = np.zeros((3, 3))
         self._R_out_world = Rotation.identity()
+        self._keyframe_to_add = None
 
     @property
     def still_pixels(self):
@@ -122,6 +123,7 @@ class AnchoredTracker:
 
     def track(self, grey, stamp_ns):
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
+        self.settle()
         if not has_texture(grey):
             return self._predicted(stamp_ns)
         view = View(grey, Pyramid(grey), Thumbnail(grey))
@@ -138,9 +140,15 @@ class AnchoredTracker:
             self._accept(view, stamp_ns, location)
             self._judge_landmarks(location)
             if self._is_keyframe(location):
-                self._add_keyframe(view, location)
+                self._keyframe_to_add = view, location
         return TrackedOrientation(
             self._R_out_world * self._R_world_camera, TrackingStatus.OK, self._covariance)
+
+    def settle(self):
+        """Do what the last orientation did not have to wait for: add its frame as a keyframe."""
+        if self._keyframe_to_add:
+            self._add_keyframe(*self._keyframe_to_add)
+            self._keyframe_to_add = None
 
     def _start_map(self, view, stamp_ns):
         """Start anew from here, in the orientation reached."""

@@ -56,5 +56,8 @@ class Tracker(Protocol):
     def track(self, grey, stamp_ns) -> TrackedOrientation:
         """Take in the next grey sphere (H, W) uint8, return the camera's orientation."""
 
+    def settle(self):
+        """Do what was put off; the next frame will do it otherwise."""
+
     def reset(self):
         """Forget everything: the next frame's orientation is the new world."""

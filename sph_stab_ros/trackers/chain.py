@@ -82,6 +82,9 @@ class ChainTracker:
         self._refer_to(current, stamp_ns, self._R_world_reference * R_reference_camera)
         return TrackedOrientation(self._R_world_reference, TrackingStatus.OK)
 
+    def settle(self):
+        """Do nothing: nothing is put off."""
+
     def _refer_to(self, sphere, stamp_ns, R_world_reference):
         self._reference = sphere
         self._reference_stamp_ns = stamp_ns

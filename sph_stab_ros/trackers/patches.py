@@ -49,17 +49,26 @@ NOISE_GRADIENT = 50.0
 
 
 class Pyramid:
-    """A grey sphere (H, W) uint8, blurred and continued beyond its edges, whole and halved."""
+    """
+    A grey sphere (H, W) uint8, blurred and continued beyond its edges, whole and halved.
+
+    Each is made when it is asked for: the halved one seldom is.
+    """
 
     def __init__(self, grey):
         self.width = grey.shape[1]
         self.margin_px = min(MARGIN_PX, grey.shape[0] >> LEVELS - 1)
-        self.images = []
-        for level in range(LEVELS):
-            if level:
-                grey = cv2.resize(grey, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-            self.images.append(
-                cv2.GaussianBlur(pad_sphere(grey, self.margin_px), (0, 0), BLUR_PX))
+        self._grey = grey
+        self._images = {}
+
+    def image(self, level):
+        """Return the picture of a level with its margins."""
+        if level not in self._images:
+            grey = self._grey if level == 0 else cv2.resize(
+                self._grey, None, fx=0.5 ** level, fy=0.5 ** level, interpolation=cv2.INTER_AREA)
+            self._images[level] = cv2.GaussianBlur(
+                pad_sphere(grey, self.margin_px), (0, 0), BLUR_PX)
+        return self._images[level]
 
     def px_per_rad(self, level=0):
         """Return the number of pixels of a level per radian."""
@@ -67,8 +76,12 @@ class Pyramid:
 
     def read(self, level, u, v):
         """Return the grey values (N, P) float32 at pixels u, v (N, P) of a level."""
+        if kernels.library is not None:
+            image, grey = self.image(level), np.empty(u.shape, np.float32)
+            kernels.library.read_pixels(u.size, image, *image.shape, u, v, grey)
+            return grey
         # OpenCV refuses to read nothing.
-        return np.float32(cv2.remap(self.images[level], u, v, cv2.INTER_LINEAR)
+        return np.float32(cv2.remap(self.image(level), u, v, cv2.INTER_LINEAR)
                           if len(u) else u)
 
 
@@ -156,7 +169,7 @@ class Patches(Rows):
 
     def _settle_compiled(self, rows, pyramid, level, expected, east, south, scale, offsets):
         difference, length = np.zeros((2, len(rows)), np.float32)
-        image = pyramid.images[level]
+        image = pyramid.image(level)
         kernels.library.settle_patches(
             len(rows), rows, expected, east, south, scale, image, *image.shape,
             pyramid.margin_px, self.templates, self.deviations, self.solvers, level, LEVELS,

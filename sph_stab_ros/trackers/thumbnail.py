@@ -20,7 +20,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.equirect import bearing_grid, pad_sphere, pixels_from_bearings, row_solid_angles
+from sph_stab_ros.equirect import bearing_grid, pad_sphere, row_solid_angles
+from sph_stab_ros.projection import Equirect
 
 WIDTH = 64
 BLUR_PX = 1.0
@@ -45,6 +46,12 @@ class Thumbnail:
         self.margin_px = margin_px
         self.image = self.padded[margin_px:-margin_px, margin_px:-margin_px]
 
+    def read(self, bearings):
+        """Return the values (N,) along bearings (3, N) float32."""
+        u, v = Equirect(WIDTH).pixels(*bearings)
+        return cv2.remap(self.padded, u + self.margin_px, v + self.margin_px,
+                         cv2.INTER_LINEAR).ravel()
+
 
 def align(reference, current, R_current_reference):
     """
@@ -54,14 +61,12 @@ def align(reference, current, R_current_reference):
     reference, ``∂I_r(exp(ω) x)/∂ω = x × ∇I_r``, is used throughout.
     """
     rows, weights = _rows_used()
-    grid = bearing_grid(WIDTH)[rows].reshape(-1, 3)
+    grid = bearing_grid(WIDTH)[rows].reshape(-1, 3).T
     J = rotation_gradient(reference.padded, reference.margin_px)[rows].reshape(-1, 3)
     expected = reference.image[rows].ravel()
     R = R_current_reference.as_matrix()
     for _ in range(ITERATIONS):
-        uv = pixels_from_bearings(grid @ R.T.astype(np.float32), WIDTH)
-        uv = (uv + current.margin_px).astype(np.float32)
-        seen = cv2.remap(current.padded, uv[:, 0], uv[:, 1], cv2.INTER_LINEAR).ravel()
+        seen = current.read(R.astype(np.float32) @ grid)
         residual = seen - expected
         w = weights * np.minimum(1, HUBER / np.maximum(np.abs(residual), 1e-6))
         weighted = w[:, None] * J
@@ -75,10 +80,8 @@ def align(reference, current, R_current_reference):
 def difference(reference, current, R_current_reference):
     """Return by how much two Thumbnails differ in the mean, in standard deviations of either."""
     rows, weights = _rows_used()
-    uv = pixels_from_bearings(bearing_grid(WIDTH)[rows].reshape(-1, 3)
-                              @ R_current_reference.as_matrix().T.astype(np.float32), WIDTH)
-    uv = (uv + current.margin_px).astype(np.float32)
-    seen = cv2.remap(current.padded, uv[:, 0], uv[:, 1], cv2.INTER_LINEAR).ravel()
+    grid = bearing_grid(WIDTH)[rows].reshape(-1, 3).T
+    seen = current.read(R_current_reference.as_matrix().astype(np.float32) @ grid)
     return np.average(np.abs(seen - reference.image[rows].ravel()), weights=weights)
 
 
