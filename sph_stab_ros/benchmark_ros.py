@@ -40,6 +40,7 @@ from sph_stab_ros.benchmark_ros_scenario import MemoryRecording, Scenario
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.config import MIN_WIDTH
 from sph_stab_ros.player import Player
+from sph_stab_ros.process_setup import set_up_process
 from sph_stab_ros.processes import cpu_s, running
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.output import partial_output
@@ -65,6 +66,7 @@ class Heard:
 @contextmanager
 def ros_node(name):
     """Give a rclpy node in the benchmark's namespace."""
+    set_up_process()
     rclpy.init(args=[])
     try:
         yield rclpy.create_node(name, namespace=NAMESPACE)

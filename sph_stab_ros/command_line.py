@@ -25,23 +25,9 @@ from sph_stab_ros.calibration_file import read_calibration
 from sph_stab_ros.config import (
     ConfigError, DUAL_FISHEYE, EQUIRECT, options, StabilizerConfig, TrackerConfig)
 from sph_stab_ros.masks import load_mask, MaskError
+from sph_stab_ros.process_setup import set_up_process
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.trackers import working_width
-
-
-def limit_blas_threads():
-    """
-    Let BLAS use one thread.
-
-    The matrices here are long and thin: a second thread waits more than it multiplies, 0.13 s of
-    CPU per frame against 0.03 s on two busy cores.
-    """
-    try:
-        from threadpoolctl import threadpool_limits
-    except ImportError:
-        logging.getLogger(__name__).debug('threadpoolctl is not there, BLAS keeps its threads')
-    else:
-        threadpool_limits(1, user_api='blas')
 
 
 class Parser(argparse.ArgumentParser):
@@ -136,7 +122,7 @@ def run(name, command):
     # SIGINT too: what a script starts in the background would ignore it.
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, signal.default_int_handler)
-    limit_blas_threads()
+    set_up_process()
     try:
         command()
     except RecordingError as error:

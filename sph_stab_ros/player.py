@@ -39,6 +39,7 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CompressedImage, Image
 
 from sph_stab_ros.command_line import Parser
+from sph_stab_ros.process_setup import set_up_process
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.images import fill_compressed, fill_image
 from sph_stab_ros.trajectory import NS_PER_S
@@ -223,6 +224,7 @@ def main(argv=None):
         args = arguments(remove_ros_args(argv)[1:])
         # rclpy's handler ends it; a KeyboardInterrupt on top could come at any time.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        set_up_process()
         rclpy.init(args=argv)
     except (RCLError, UnknownROSArgsError) as error:
         print(f'player: {str(error).splitlines()[0]}', file=sys.stderr)

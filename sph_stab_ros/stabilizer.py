@@ -49,11 +49,12 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
-from sph_stab_ros.command_line import limit_blas_threads, Parser
+from sph_stab_ros.command_line import Parser
 from sph_stab_ros.config import ConfigError, VIEW
 from sph_stab_ros.frame import Frame
 from sph_stab_ros.level import IMU, LevelError
 from sph_stab_ros.masks import MaskError
+from sph_stab_ros.process_setup import set_up_process
 from sph_stab_ros.recording.images import image_from_message, ImageError
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
@@ -233,11 +234,11 @@ def main(args=None):
         # rclpy's handler ends it; a KeyboardInterrupt on top could come at any time, the second
         # one while the node is destroyed.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        set_up_process()
         rclpy.init(args=args)
     except RuntimeError as error:
         print(f'stabilizer: cannot start: {error}', file=sys.stderr)
         return 2
-    limit_blas_threads()
     # Two workers share the interpreter: each call that gives it away would wait for the other's
     # turn of 5 ms.
     sys.setswitchinterval(SWITCH_INTERVAL_S)

@@ -33,8 +33,6 @@ from sph_stab_ros.projection import Equirect
 
 # Larger cells have fewer nodes but larger surroundings of the poles to compute exactly.
 CELL_PX = 6
-# Interpolated maps are made in strips that stay in the cache.
-STRIP_PX = 3 << 16
 # Cells computed exactly at a time; OpenCV takes no more than 32766 rows.
 BATCH_CELLS = 1 << 12
 
@@ -130,20 +128,11 @@ class InverseWarp:
     def _interpolated(self, image, u, v, border):
         """Return the target, of whole cells, read where the pixels between nodes interpolate."""
         cell = self._cell_px
-        size_wh = self._columns * cell, self._rows * cell
-        target = np.empty((*size_wh[::-1], *image.shape[2:]), image.dtype)
-        strip = max(STRIP_PX // (size_wh[0] * cell), 1)
-        buffers = np.empty((2, (strip + 1) * cell, size_wh[0] + cell), np.float32)
         # cv2.resize puts node j at pixel cell · (j + 0.5) − 0.5.
         # An edge of the target is half a cell from there.
         inner = slice(cell // 2, cell // 2 - cell)
-        for first in range(0, self._rows, strip):
-            nodes = slice(first, first + strip + 1)
-            rows = slice(first * cell, (first + strip) * cell)
-            maps = [cv2.resize(one[nodes], None, buffer[:len(one[nodes]) * cell], cell, cell)
-                    [inner, inner] for one, buffer in zip((u, v), buffers)]
-            cv2.remap(image, *maps, cv2.INTER_LINEAR, target[rows], border)
-        return target
+        maps = [cv2.resize(one, None, fx=cell, fy=cell)[inner, inner] for one in (u, v)]
+        return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=border)
 
     def _fill_exactly(self, target, uneven, image, xyz, projection):
         """Read the pixels of cells (rows, columns) along their own bearings, into the target."""

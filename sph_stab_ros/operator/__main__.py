@@ -32,6 +32,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
+from sph_stab_ros.process_setup import set_up_process
 
 PORT = 8360
 LOOPBACK = '127.0.0.1'
@@ -78,6 +79,7 @@ def main(argv=None):
     argv = sys.argv if argv is None else ['operator', *argv]
     try:
         args = arguments(remove_ros_args(argv)[1:])
+        set_up_process()
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         print(f'operator: {str(error).splitlines()[0]}', file=sys.stderr)
