@@ -3,11 +3,13 @@
 
 // The WebSocket to the server; comes back by itself.
 
+import {decode} from './decoder.js';
+
 const FIRST_RETRY_MS = 300, LAST_RETRY_MS = 3000;
 const FULL = 1013, REFUSED = 1008;
 
 export class Connection {
-  // handlers: picture({sequence, stamp_ns, orientation, bitmap}), state(…), notice(…),
+  // handlers: picture({sequence, stamp_ns, orientation, image}), state(…), notice(…),
   // open(), closed(reason).
   constructor(handlers) {
     this.handlers = handlers;
@@ -64,11 +66,9 @@ class PictureDecoder {
     while (this.next) {
       const [header, file] = parsed(this.next);
       this.next = null;
-      // A broken file is a picture without a bitmap.
-      const bitmap = await createImageBitmap(
-        new Blob([file], {type: file[0] === 0x89 ? 'image/png' : 'image/jpeg'}),
-        {colorSpaceConversion: 'none', premultiplyAlpha: 'none'}).catch(() => null);
-      this.done({...header, bitmap});
+      // A broken file is a picture without an image.
+      const image = await decode(file).catch(() => null);
+      this.done({...header, image});
     }
     this.busy = false;
   }

@@ -66,7 +66,7 @@ function draw() {
   const picture = waiting;
   waiting = null;
   if (picture) {
-    renderer.load(picture.bitmap);
+    renderer.load(picture.image);
     // Without an orientation the last one has to do.
     Object.assign(state, picture.orientation);
     state.stabilized = picture.orientation !== null;
@@ -98,16 +98,16 @@ function showInstruments() {
 }
 
 function takePicture(picture) {
-  const {bitmap, sequence} = picture;
-  if (bitmap?.width !== 2 * bitmap?.height) {
-    state.failure = bitmap ? `The camera's picture, ${bitmap.width}×${bitmap.height}, is no ` +
+  const {image, sequence} = picture;
+  if (image?.width !== 2 * image?.height) {
+    state.failure = image ? `The camera's picture, ${image.width}×${image.height}, is no ` +
       'sphere: start the operator with --pictures stabilizer.' : 'A broken picture has come.';
-    bitmap?.close();
+    image?.close();
     connection.send('drawn', {sequence});
     return;
   }
   state.failure = '';
-  waiting?.bitmap.close();
+  waiting?.image.close();
   waiting = picture;
   requestDraw();
 }

@@ -24,12 +24,19 @@ void main() {
 
 const FRAGMENT_SHADER = `#version 300 es
 precision highp float;
-uniform sampler2D sphere;
+uniform sampler2D sphere, blueness, redness;
+uniform bool planar;
 in vec2 place;
 out vec4 colour;
 void main() {
   colour = texture(sphere, place);
+  if (planar) {  // JFIF's colours
+    float b = texture(blueness, place).r - 0.50196, r = texture(redness, place).r - 0.50196;
+    colour = vec4(colour.r + vec3(1.402 * r, -0.344136 * b - 0.714136 * r, 1.772 * b), 1);
+  }
 }`;
+
+const WITHOUT_CARD = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
 export class SphereRenderer {
   // Throws an Error where the browser cannot do it; ``slow`` tells that it does without a
@@ -37,10 +44,11 @@ export class SphereRenderer {
   constructor(canvas) {
     const wanted = {alpha: false, antialias: false, depth: false};
     this.canvas = canvas;
-    this.gl = canvas.getContext('webgl2', {...wanted, failIfMajorPerformanceCaveat: true});
-    this.slow = !this.gl;
-    this.gl ??= canvas.getContext('webgl2', wanted);
+    this.gl = canvas.getContext('webgl2', wanted);
     if (!this.gl) throw new Error('This browser has no WebGL 2.');
+    const info = this.gl.getExtension('WEBGL_debug_renderer_info');
+    this.slow = WITHOUT_CARD.test(
+      this.gl.getParameter(info?.UNMASKED_RENDERER_WEBGL ?? this.gl.RENDERER));
     this.#prepare();
     canvas.addEventListener('webglcontextlost', event => event.preventDefault());
     canvas.addEventListener('webglcontextrestored', () => this.#prepare());
@@ -63,24 +71,37 @@ export class SphereRenderer {
     gl.useProgram(program);
     this.rotation = gl.getUniformLocation(program, 'R_camera_view');
     this.extent = gl.getUniformLocation(program, 'extent');
-    gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.REPEAT);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    this.planar = gl.getUniformLocation(program, 'planar');
+    ['sphere', 'blueness', 'redness'].forEach((name, unit) => {
+      gl.uniform1i(gl.getUniformLocation(program, name), unit);
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.REPEAT);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+    });
     gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     this.width = 0;
   }
 
-  // Takes over an ImageBitmap.
-  load(bitmap) {
+  // Takes over an image: see ``decode``.
+  load(image) {
     const gl = this.gl;
-    if (bitmap.width === this.width && bitmap.height === this.height) {
-      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
+    this.width = image.width;
+    gl.uniform1i(this.planar, Boolean(image.planes));
+    if (image.planes) {
+      image.planes.forEach(({data, width, height, stride}, unit) => {
+        gl.activeTexture(gl.TEXTURE0 + unit);
+        gl.pixelStorei(gl.UNPACK_ROW_LENGTH, stride);
+        gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, width, height, 0, gl.RED, gl.UNSIGNED_BYTE, data);
+      });
+      gl.pixelStorei(gl.UNPACK_ROW_LENGTH, 0);
     } else {
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
-      [this.width, this.height] = [bitmap.width, bitmap.height];
+      gl.activeTexture(gl.TEXTURE0);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+      image.close();
     }
-    bitmap.close();
   }
 
   // Draws what lies along R_camera_view (9, by columns); fov in radians is that of the longer side.
