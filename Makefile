@@ -119,7 +119,7 @@ hard: setup  ## Write the hard recordings from pictures in FRAMES, else quickly 
 	$(SIMULATE) drone results/hard/drone_bare --force --frames-limit 120 $(HARD_DRONE) \
 	    $(call hard_pictures,drone_bare,--hard plain)
 	$(SIMULATE) shake results/hard/shake --force --frames-limit 60 $(call hard_pictures,shake)
-	$(SIMULATE) hover results/hard/hover --force --hard exposure --width 320
+	$(SIMULATE) hover results/hard/hover --force --hard exposure --width 320 --every 3
 
 constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 	uv pip compile --universal --python-version 3.10 --all-extras --no-annotate --upgrade \

@@ -54,7 +54,7 @@ from sph_stab_ros.config import ConfigError, VIEW
 from sph_stab_ros.frame import Frame
 from sph_stab_ros.level import IMU, LevelError
 from sph_stab_ros.masks import MaskError
-from sph_stab_ros.process_setup import set_up_process
+from sph_stab_ros.process_setup import give_back_freed_memory, set_up_process
 from sph_stab_ros.recording.images import image_from_message, ImageError
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
@@ -172,6 +172,7 @@ class StabilizerNode(Node):
         self._diagnostics_publisher.publish(DiagnosticArray(
             header=Header(stamp=self.get_clock().now().to_msg()),
             status=[self._diagnostics.status(self._tracking.dropped, self._drawing.dropped)]))
+        give_back_freed_memory()
 
     # In the workers' threads.
 
