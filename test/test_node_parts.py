@@ -23,6 +23,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.equirect import bearing_grid
 from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
+from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization import StabilizedFrame
 from sph_stab_ros.steering import Rates
 from sph_stab_ros.warp import perspective_view
@@ -57,6 +58,32 @@ def test_mailbox_lets_go_who_waits_when_it_is_closed():
     waiting.join(10)
     mailbox.put('too late')
     assert got == [None] and mailbox.get() is None
+
+
+def test_worker_works_on_the_newest_and_finishes_what_it_has_begun():
+    begun, go_on, done = threading.Event(), threading.Event(), []
+
+    def work(number, text):
+        begun.set()
+        go_on.wait(10)
+        done.append((number, text))
+    worker = Worker('test', work)
+    worker.start()
+    worker.put(1, 'first')
+    assert begun.wait(10)
+    for number in (2, 3, 4):
+        worker.put(number, 'later')
+    go_on.set()
+    while len(done) < 2:
+        pass
+    assert (done, worker.dropped) == ([(1, 'first'), (4, 'later')], 2)
+    begun.clear()
+    go_on.clear()
+    worker.put(5, 'last')
+    assert begun.wait(10)
+    threading.Timer(0.1, go_on.set).start()
+    worker.close()
+    assert done[-1] == (5, 'last')
 
 
 def test_log_says_each_kind_once_in_a_while(monkeypatch):
