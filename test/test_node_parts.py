@@ -15,7 +15,7 @@
 """What the node is made of, each by itself."""
 
 import threading
-from time import process_time
+from time import monotonic, process_time, sleep
 from unittest import mock
 
 import numpy as np
@@ -74,8 +74,9 @@ def test_worker_works_on_the_newest_and_finishes_what_it_has_begun():
     for number in (2, 3, 4):
         worker.put(number, 'later')
     go_on.set()
-    while len(done) < 2:
-        pass
+    end_s = monotonic() + 10
+    while len(done) < 2 and monotonic() < end_s:
+        sleep(0.01)
     assert (done, worker.dropped) == ([(1, 'first'), (4, 'later')], 2)
     begun.clear()
     go_on.clear()
