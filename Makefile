@@ -131,8 +131,11 @@ constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 clean:  ## Remove the virtual environments and all results
 	rm -rf .venv .venv-oldest results
 
-.venv/complete: constraints.txt setup.py tools/setup_venv.sh
+# What is compiled must be that of these sources.
+BUILT_FROM := setup.py sph_stab_ros/kernels/kernels.c tools/setup_venv.sh
+
+.venv/complete: constraints.txt $(BUILT_FROM)
 	tools/setup_venv.sh .venv constraints.txt '$(PYTHON)'
 
-.venv-oldest/complete: constraints-oldest.txt setup.py tools/setup_venv.sh
+.venv-oldest/complete: constraints-oldest.txt $(BUILT_FROM)
 	tools/setup_venv.sh .venv-oldest constraints-oldest.txt '$(PYTHON)'

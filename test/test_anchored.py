@@ -207,6 +207,24 @@ def test_without_a_turn_nothing_is_said_to_stand_still():
     assert not still.mask.any()
 
 
+def test_a_keyframe_that_fails_is_given_up(monkeypatch):
+    tracker = AnchoredTracker(WIDTH)
+    tried = []
+
+    def fail(self, *keyframe):
+        tried.append(keyframe)
+        raise np.linalg.LinAlgError
+    monkeypatch.setattr(AnchoredTracker, '_add_keyframe', fail)
+    for i in range(30):
+        try:
+            tracker.track(room(Rotation.identity(), (0.05 * i, 0, 0)), i * PERIOD_NS)
+        except np.linalg.LinAlgError:
+            # The same frame once more, as a node does with the next one.
+            assert tracker.track(room(Rotation.identity(), (0.05 * i, 0, 0)),
+                                 i * PERIOD_NS).status is TrackingStatus.OK
+    assert tried
+
+
 def test_memory_does_not_grow(monkeypatch):
     monkeypatch.setattr(surroundings, 'MAX_KEYFRAMES', 12)
     tracker = AnchoredTracker(256)

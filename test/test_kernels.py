@@ -15,6 +15,7 @@
 """What is compiled does the same as what is written in NumPy."""
 
 import ctypes
+import shutil
 
 import numpy as np
 import pytest
@@ -28,8 +29,15 @@ from test_bundle import perturbed, true_window
 from test_patches import corners
 from test_pose import points, POSITION
 
+COMPILER = shutil.which('cc') or shutil.which('gcc')
+# With a compiler it is an error that there is nothing compiled, and these fail.
 pytestmark = pytest.mark.skipif(
-    kernels.library is None, reason='nothing was compiled at installation')
+    kernels.library is None and not COMPILER, reason='there is no C compiler here')
+
+
+@pytest.mark.skipif(not COMPILER, reason='there is no C compiler here')
+def test_they_are_compiled_where_there_is_a_compiler():
+    assert kernels.library is not None
 
 
 @pytest.fixture
@@ -91,7 +99,7 @@ def test_patches(both, turn_deg):
     low = np.abs(seen[0][rows, 1]) < np.sin(np.deg2rad(60))
     found = low & (correlation > 0.9) & (also > 0.9)
     assert found.sum() > 30
-    # OpenCV reads at 32nds of a pixel, and iterates until all have settled.
+    # OpenCV reads at 32nds of a pixel, and NumPy goes on with those that have settled.
     px = np.linalg.norm(offsets - in_numpy, axis=1)[found] * width / (2 * np.pi)
     assert np.median(px) < 0.03 and np.percentile(px, 95) < 0.1
     np.testing.assert_allclose(correlation[found], also[found], atol=0.02)
@@ -108,6 +116,17 @@ def test_what_is_read_is_copied_where_it_is_not_dense():
             'origins', 'inverse_depths', 'information', 'y', 'whitening'))),
         np.eye(3), POSITION, seen.inverse_depths)
     np.testing.assert_array_equal(r, again)
+
+
+def test_what_cannot_be_written_to_is_read_as_well():
+    seen = points(np.random.default_rng(6), Rotation.identity(), POSITION)
+    r = pose.residuals(seen, np.eye(3), POSITION, seen.inverse_depths)
+    seen.y.flags.writeable = False
+    np.testing.assert_array_equal(
+        r, pose.residuals(seen, np.eye(3), POSITION, seen.inverse_depths))
+    argument = kernels.library.pose_residuals.argtypes[-1]
+    with pytest.raises(TypeError):
+        argument.from_param(np.broadcast_to(np.zeros(2), (4, 2)))
 
 
 def test_what_is_written_must_be_dense():

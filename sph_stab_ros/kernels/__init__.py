@@ -37,6 +37,9 @@ class _Array:
         dense = np.ascontiguousarray(array, self._dtype)
         if self._written and dense is not array:
             raise TypeError('only dense arrays of the right type can be written to')
+        if not dense.flags.writeable:
+            # ctypes takes the addresses of no others.
+            dense = dense.copy()
         # A third of the time that ndarray.ctypes takes.
         return ctypes.byref(self._ANYTHING.from_buffer(dense))
 

@@ -12,12 +12,12 @@
 // See the License for the specific language governing permissions and
 // limitations under the License.
 
-// The inner loops of the anchored tracker and of the warp. Arrays are dense, in C order; the Python functions that
-// call these say what they mean, and do the same in NumPy where nothing was compiled.
+// The inner loops of the anchored tracker and of the warp. Arrays are dense, in C order; the
+// Python functions that call these say what they mean, and do the same in NumPy where nothing was
+// compiled.
 
 #include <math.h>
 #include <stdint.h>
-#include <string.h>
 
 #define PI 3.14159265358979323846
 // As in patches.py.
@@ -181,7 +181,7 @@ void settle_patches(
                + s * (v_terms[2] + s * v_terms[5]);
       }
 
-    const size_t patch = rows[i] * levels + level;
+    const int64_t patch = rows[i] * levels + level;
     const float *template = templates + patch * PIXELS, deviation = deviations[patch];
     const float *along_east = solvers + patch * 2 * PIXELS, *along_south = along_east + PIXELS;
     float moved_east = 0, moved_south = 0, difference = 0, length = 0;

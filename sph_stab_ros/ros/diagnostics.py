@@ -124,7 +124,7 @@ class Diagnostics:
                 **{f'frames: {status.value}': self._tracking[status] for status in TrackingStatus},
                 **self._state(),
                 'dropped': dropped,
-                'tracked, not drawn': not_drawn,
+                'not_drawn': not_drawn,
                 'refused': sum(self._refused.values()),
                 **{f'refused: {reason}': n for reason, n in sorted(self._refused.items())},
                 **self._of_imu(elapsed_s),

@@ -146,9 +146,10 @@ class AnchoredTracker:
 
     def settle(self):
         """Do what the last orientation did not have to wait for: add its frame as a keyframe."""
-        if self._keyframe_to_add:
-            self._add_keyframe(*self._keyframe_to_add)
-            self._keyframe_to_add = None
+        # Taken off first: one that fails must not fail again with every frame to come.
+        keyframe, self._keyframe_to_add = self._keyframe_to_add, None
+        if keyframe:
+            self._add_keyframe(*keyframe)
 
     def _start_map(self, view, stamp_ns):
         """Start anew from here, in the orientation reached."""

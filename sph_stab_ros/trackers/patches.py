@@ -157,8 +157,6 @@ class Patches(Rows):
             Of the iteration; large where it did not settle.
 
         """
-        expected, east, south, scale = (
-            np.ascontiguousarray(one) for one in (expected, east, south, scale))
         offsets = np.zeros((len(rows), 2))
         settle = self._settle if kernels.library is None else self._settle_compiled
         for level in reversed(range(levels)):

@@ -32,7 +32,7 @@ async function planesOf(file) {
 }
 
 async function copied(image) {
-  const {codedWidth: width, codedHeight: height, format} = image;
+  const {visibleRect: {width, height}, format} = image;
   const buffer = new Uint8Array(image.allocationSize());
   const layout = await image.copyTo(buffer);
   const planes = layout.map(({offset, stride}, i) => ({

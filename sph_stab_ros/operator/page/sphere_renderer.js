@@ -24,14 +24,14 @@ void main() {
 
 const FRAGMENT_SHADER = `#version 300 es
 precision highp float;
-uniform sampler2D sphere, blueness, redness;
+uniform sampler2D sphere, cb, cr;  // luma and chroma where planar
 uniform bool planar;
 in vec2 place;
 out vec4 colour;
 void main() {
   colour = texture(sphere, place);
   if (planar) {  // JFIF's colours
-    float b = texture(blueness, place).r - 0.50196, r = texture(redness, place).r - 0.50196;
+    float b = texture(cb, place).r - 0.50196, r = texture(cr, place).r - 0.50196;
     colour = vec4(colour.r + vec3(1.402 * r, -0.344136 * b - 0.714136 * r, 1.772 * b), 1);
   }
 }`;
@@ -72,7 +72,7 @@ export class SphereRenderer {
     this.rotation = gl.getUniformLocation(program, 'R_camera_view');
     this.extent = gl.getUniformLocation(program, 'extent');
     this.planar = gl.getUniformLocation(program, 'planar');
-    ['sphere', 'blueness', 'redness'].forEach((name, unit) => {
+    ['sphere', 'cb', 'cr'].forEach((name, unit) => {
       gl.uniform1i(gl.getUniformLocation(program, name), unit);
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
