@@ -14,13 +14,15 @@
 
 """The real node in a process of its own, and a peer that talks to it through the middleware."""
 
-from collections import defaultdict
+from collections import defaultdict, deque
 from contextlib import contextmanager
+from fcntl import flock, LOCK_EX, LOCK_NB
 from itertools import count
 import os
 import signal
 import subprocess
 import sys
+from tempfile import gettempdir
 import time
 
 import cv2
@@ -57,8 +59,24 @@ SETTLING_S = 0.5
 COMPRESSED = ('-p', 'image_transport:=compressed')
 # Best effort may lose raw images that exceed the 0.5 MB of Fast DDS's shared memory by default.
 RELIABLE = ('-p', 'qos_overrides./image.subscription.reliability:=reliable')
-# Nodes of other tests, also of other runs on this machine, live in other domains.
-DOMAINS = (1 + (os.getpid() * 7 + n) % 100 for n in count())
+
+
+def free_domains():
+    """Yield domains in which no other test's nodes live, nor those of other runs here."""
+    held = deque(maxlen=20)
+    for n in count(os.getpid() * 7):
+        domain = 1 + n % 100
+        lock = open(f'{gettempdir()}/sph_stab_ros_test_domain_{domain}.lock', 'w')
+        try:
+            flock(lock, LOCK_EX | LOCK_NB)
+        except OSError:
+            lock.close()
+        else:
+            held.append(lock)
+            yield domain
+
+
+DOMAINS = free_domains()
 
 os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
