@@ -22,13 +22,16 @@ The page shows the raw picture, whose middle stays in the middle; it takes the s
 """
 
 from argparse import ArgumentParser
+from contextlib import contextmanager
 from itertools import chain, cycle, islice
 import json
 import os
 from pathlib import Path
 import shutil
 import socket
+import subprocess
 import sys
+import tempfile
 import time
 
 import cv2
@@ -61,11 +64,14 @@ CHROMIUM_FLAGS = (
 # The attribute is set by whoever has just drawn; observers are called before the canvas goes to
 # the display.
 PROBE = """columns => {
-    const canvas = document.getElementById('picture'), gl = canvas.getContext('webgl2');
+    const canvas = document.getElementById('picture');
+    const flat = canvas.getContext('2d'), gl = canvas.getContext('webgl2');
     window.drawn = [];
     new MutationObserver(() => {
-        const {width, height} = canvas, row = new Uint8Array(4 * width);
-        gl.readPixels(0, height >> 1, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
+        const {width, height} = canvas;
+        const row = flat ? flat.getImageData(0, height >> 1, width, 1).data
+            : new Uint8Array(4 * width);
+        gl?.readPixels(0, height >> 1, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
         const time_ms = performance.timeOrigin + performance.now();
         const seen = columns.map(x => row[4 * Math.round(x * width / innerWidth) + 1] > 128);
         window.drawn.push([time_ms, canvas.dataset.stampNs, seen.map(Number)]);
@@ -146,12 +152,9 @@ def figures(args, sent, drawn, cpu_percent):
 
 def measure(args, chromium):
     """Return the figures; ``chromium`` is the browser's path."""
-    from playwright.sync_api import sync_playwright
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        port = probe.getsockname()[1]
     msgs = messages(args)
     ros = ('--ros-args', '-r', f'__ns:=/{NAMESPACE}')
+    port = free_port()
     rclpy.init()
     node = rclpy.create_node('camera', namespace=NAMESPACE)
     publisher = node.create_publisher(
@@ -160,29 +163,70 @@ def measure(args, chromium):
     transport = '-p', f'image_transport:={args.transport}'
     page_arguments = '--port', str(port), '--pictures', args.pictures
     with running('stabilizer', *ros, *transport) as stabilizer, \
-            running('operator', *page_arguments, *ros) as server, sync_playwright() as driver:
+            running('operator', *page_arguments, *ros) as server, \
+            Browser(chromium) as browser:
         wait_until(lambda: socket.socket().connect_ex(('127.0.0.1', port)) == 0)
-        browser = driver.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
-        width, height = SIZE_WH
-        page = browser.new_page(viewport={'width': width, 'height': height})
-        page.goto(f'http://127.0.0.1:{port}/')
-        wanted = 2 if args.pictures == 'camera' else 1
-        wait_until(lambda: publisher.get_subscription_count() >= wanted)
-        # The first picture, for the page to be ready.
-        wait_until(lambda: publish_one(publisher, msgs[0]) or page.evaluate(
-            'document.documentElement.dataset.situation === "stabilized"'))
-        page.keyboard.press('b')
-        page.evaluate(PROBE, columns_px())
+        with browser.page() as page:
+            page.goto(f'http://127.0.0.1:{port}/')
+            wanted = 2 if args.pictures == 'camera' else 1
+            wait_until(lambda: publisher.get_subscription_count() >= wanted)
+            # The first picture, for the page to be ready.
+            wait_until(lambda: publish_one(publisher, msgs[0]) or page.evaluate(
+                'document.documentElement.dataset.situation === "stabilized"'))
+            page.keyboard.press('b')
+            page.evaluate(PROBE, columns_px())
         before_s = [time.monotonic(), *map(cpu_s, (stabilizer.pid, server.pid))]
         sent = publish(args, node, publisher, msgs)
         spent_s = np.subtract([time.monotonic(), *map(cpu_s, (stabilizer.pid, server.pid))],
                               before_s)
-        page.wait_for_timeout(2000)
-        drawn = page.evaluate('window.drawn')
-        browser.close()
+        time.sleep(2)
+        with browser.page() as page:
+            drawn = page.evaluate('window.drawn')
     rclpy.try_shutdown()
     percent = 100 * spent_s[1:] / spent_s[0]
     return figures(args, sent, drawn, dict(zip(('stabilizer', 'operator'), percent.tolist())))
+
+
+class Browser:
+    """
+    A headless Chromium with one page.
+
+    Its driver is there only within ``page``: while pictures come it would be told of each.
+    """
+
+    def __init__(self, chromium):
+        self._port = free_port()
+        self._folder = tempfile.TemporaryDirectory()
+        width, height = SIZE_WH
+        self._process = subprocess.Popen(
+            (chromium, '--headless', *CHROMIUM_FLAGS, f'--window-size={width},{height}',
+             f'--remote-debugging-port={self._port}', f'--user-data-dir={self._folder.name}',
+             'about:blank'), stderr=subprocess.DEVNULL)
+
+    def __enter__(self):
+        wait_until(lambda: socket.socket().connect_ex(('127.0.0.1', self._port)) == 0)
+        return self
+
+    def __exit__(self, *_):
+        self._process.terminate()
+        self._process.wait()
+        self._folder.cleanup()
+
+    @contextmanager
+    def page(self):
+        """Give the page to the driver."""
+        from playwright.sync_api import sync_playwright
+        with sync_playwright() as driver:
+            browser = driver.chromium.connect_over_cdp(f'http://127.0.0.1:{self._port}')
+            yield browser.contexts[0].pages[0]
+            browser.close()
+
+
+def free_port():
+    """Return a TCP port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(('127.0.0.1', 0))
+        return probe.getsockname()[1]
 
 
 def publish_one(publisher, msg):

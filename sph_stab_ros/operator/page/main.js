@@ -6,9 +6,9 @@
 import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
+import {rendererFor} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
 import {situation} from './situation.js';
-import {SphereRenderer} from './sphere_renderer.js';
 
 const $ = id => document.getElementById(id);
 const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
@@ -286,7 +286,7 @@ const dial = new AttitudeDial($('attitude'));
 const look = new Look(canvas, looked, id => actions[id]());
 let connection;
 try {
-  renderer = new SphereRenderer(canvas);
+  renderer = rendererFor(canvas);
   connection = new Connection({
     picture: takePicture,
     state: takeState,
