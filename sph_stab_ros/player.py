@@ -39,7 +39,7 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CompressedImage, Image
 
 from sph_stab_ros.command_line import Parser
-from sph_stab_ros.process_setup import set_up_process
+from sph_stab_ros.process_setup import bounded_ending, set_up_process
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.images import fill_compressed, fill_image
 from sph_stab_ros.trajectory import NS_PER_S
@@ -229,6 +229,7 @@ def main(argv=None):
     except (RCLError, UnknownROSArgsError) as error:
         print(f'player: {str(error).splitlines()[0]}', file=sys.stderr)
         return 2
+    node = None
     try:
         recording = open_recording(args.recording, args.image_topic)
         for topic in args.topics:
@@ -251,7 +252,10 @@ def main(argv=None):
         print(f'player: {error}', file=sys.stderr)
         return 1
     finally:
-        rclpy.try_shutdown()
+        with bounded_ending():
+            if node:
+                node.destroy_node()
+            rclpy.try_shutdown()
     return 0
 
 

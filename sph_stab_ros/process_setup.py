@@ -12,15 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How a process is set up for pictures of megabytes and matrices that are long and thin."""
+"""How a process is set up, for megabytes of picture and matrices long and thin, and ends."""
 
+from contextlib import contextmanager
 import ctypes
 import logging
+import signal
 
 # glibc's names for what mallopt sets, and the largest threshold that it takes.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
 MAX_MMAP_THRESHOLD = 32 << 20
 NEVER = 1 << 30
+ENDING_S = 10
 
 
 def set_up_process():
@@ -64,6 +67,23 @@ def give_back_freed_memory():
     malloc_trim = _in_glibc('malloc_trim')
     if malloc_trim:
         malloc_trim(0)
+
+
+@contextmanager
+def bounded_ending():
+    """
+    Let the system end the process where the block takes longer than ENDING_S.
+
+    Fast DDS may spin for minutes when it destroys a participant while others leave, as after a
+    Ctrl-C that they all get (github.com/eProsima/Fast-DDS/issues/6513). It keeps the interpreter
+    meanwhile: nothing but the system can act.
+    """
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.alarm(ENDING_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
 
 
 def _in_glibc(name):

@@ -27,7 +27,7 @@ import time
 
 import cv2
 from geometry_msgs.msg import QuaternionStamped
-from node_harness import DOMAINS, rotation
+from node_harness import DOMAINS, leave, rotation
 import numpy as np
 import pytest
 import rclpy
@@ -119,8 +119,7 @@ class Robot:
             thread.join()
         for name in tuple(self._processes):
             self.stop(name)
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        leave(self._node, self._executor)
 
     def _spin(self):
         while not self._ending.is_set():

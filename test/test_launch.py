@@ -31,7 +31,7 @@ from geometry_msgs.msg import QuaternionStamped  # noqa: E402, I100
 from launch import LaunchContext  # noqa: E402, I100
 from launch.launch_description_sources import (  # noqa: E402, I100
     PythonLaunchDescriptionSource)
-from node_harness import DOMAINS, TIMEOUT_S  # noqa: E402, I100
+from node_harness import DOMAINS, leave, TIMEOUT_S  # noqa: E402, I100
 import rclpy  # noqa: E402, I100
 from rclpy.context import Context  # noqa: E402, I100
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402, I100
@@ -121,10 +121,8 @@ def launched(prefix, tmp_path, name, *arguments):
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
         process.wait(TIMEOUT_S)
+        leave(node, executor)
 
 
 @pytest.mark.parametrize('name', (STABILIZER, DEMO))

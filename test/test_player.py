@@ -32,7 +32,7 @@ from tiny_recordings import IMAGE_TOPIC, PERIOD_NS, stamps_of, START_NS, texture
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from geometry_msgs.msg import QuaternionStamped  # noqa: E402, I100
-from node_harness import DOMAINS, stamp_ns, TIMEOUT_S  # noqa: E402, I100
+from node_harness import DOMAINS, leave, stamp_ns, TIMEOUT_S  # noqa: E402, I100
 import rclpy  # noqa: E402, I100
 from rclpy.context import Context  # noqa: E402, I100
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402, I100
@@ -60,9 +60,7 @@ class Listener:
 
     def close(self):
         """Leave the middleware."""
-        self._executor.shutdown()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        leave(self._node, self._executor)
 
     def wait_until(self, condition):
         """Listen until a condition holds."""

@@ -15,10 +15,12 @@
 """How a process is set up."""
 
 from pathlib import Path
+import signal
 import subprocess
 import sys
 
 import pytest
+from sph_stab_ros.process_setup import bounded_ending
 
 ROOT = Path(__file__).resolve().parents[1]
 # Whether memory is kept when twenty pictures are dropped, and what remains after it is given back.
@@ -45,3 +47,18 @@ def test_freed_memory_is_kept_until_it_is_given_back():
     held, kept, after = map(float, result.stdout.split())
     assert held > 90 and kept > 90
     assert after < 20
+
+
+def test_an_ending_that_hangs_is_ended():
+    """Even with the interpreter in its hands, as Fast DDS has it."""
+    program = ('import ctypes; from sph_stab_ros import process_setup; '
+               'process_setup.ENDING_S = 1\n'
+               'with process_setup.bounded_ending(): ctypes.PyDLL(None).sleep(60)')
+    ended = subprocess.run([sys.executable, '-c', program], timeout=30)
+    assert ended.returncode == -signal.SIGALRM
+
+
+def test_an_ending_in_time_leaves_nothing_behind():
+    with bounded_ending():
+        pass
+    assert signal.alarm(0) == 0

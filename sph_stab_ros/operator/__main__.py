@@ -32,7 +32,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
-from sph_stab_ros.process_setup import set_up_process
+from sph_stab_ros.process_setup import bounded_ending, set_up_process
 
 PORT = 8360
 LOOPBACK = '127.0.0.1'
@@ -130,7 +130,8 @@ async def serve(args):
         rclpy.try_shutdown()
         await spinning
     finally:
-        robot.destroy_node()
+        with bounded_ending():
+            robot.destroy_node()
 
 
 async def start(server, host, port):
