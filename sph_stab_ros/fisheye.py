@@ -127,8 +127,9 @@ class DualFisheye:
                   for one in (front, rear))
         return cv2.blendLinear(*values, share, 1 - share)
 
-    def grey_sphere(self, image, width):
-        """Return the picture, BGR or grey, as a grey sphere (width / 2, width)."""
+    def grey_sphere(self, frame, width):
+        """Return the picture of a Frame as a grey sphere (width / 2, width)."""
+        image = frame.image
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
         scale = width / self.sphere_width
         if scale > MIN_REDUCTION:

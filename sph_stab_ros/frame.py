@@ -32,3 +32,15 @@ class Frame:
     image: np.ndarray
     stamp_ns: int
     frame_id: str = ''
+
+    @property
+    def size_wh(self):
+        """Width and height of the image in pixels."""
+        return self.image.shape[1::-1]
+
+    def load(self):
+        """Decode what is decoded only when it is asked for."""
+
+    def at_least(self, width):
+        """Return the image, or a smaller one of it, grey perhaps, that is as wide as this."""
+        return self.image

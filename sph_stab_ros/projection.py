@@ -51,8 +51,8 @@ class Projection(Protocol):
     def read(self, image, x, y, z):
         """Return the values (h, w[, C]) of the picture along bearings, exactly."""
 
-    def grey_sphere(self, image, width):
-        """Return the picture, BGR or grey, as a grey sphere (width / 2, width) to track in."""
+    def grey_sphere(self, frame, width):
+        """Return the picture of a Frame as a grey sphere (width / 2, width) to track in."""
 
 
 @dataclass(frozen=True)
@@ -99,9 +99,9 @@ class Equirect:
         return cv2.remap(image, *self.pixels(x, y, z), cv2.INTER_LINEAR,
                          borderMode=self.border)
 
-    def grey_sphere(self, image, width):
-        """Return the image, BGR or grey, as a grey one (width / 2, width)."""
-        return to_grey(image, width)
+    def grey_sphere(self, frame, width):
+        """Return the picture of a Frame as a grey one (width / 2, width)."""
+        return to_grey(frame.at_least(width), width)
 
 
 def to_grey(image, width):

@@ -181,7 +181,7 @@ class Stabilizer:
 
     def process(self, frame):
         """Return the StabilizedFrame of the next Frame, or raise FrameError."""
-        self._projection = projection_of(frame.image, self.config)
+        self._projection = projection_of(frame.size_wh, self.config)
         notices = tuple(self._notices(frame))
         if self._tracker is None or Notice.RESIZED in notices:
             self._start(frame)
@@ -206,7 +206,7 @@ class Stabilizer:
     def _notices(self, frame):
         if self._last is None:
             return
-        if frame.image.shape[:2] != self._last.image.shape[:2]:
+        if frame.size_wh != self._last.size_wh:
             yield Notice.RESIZED
         elapsed_s = (frame.stamp_ns - self._last.stamp_ns) / NS_PER_S
         if elapsed_s <= 0:
@@ -224,7 +224,7 @@ class Stabilizer:
             self.config.tracker, self._working_width, self._imu.turn_between)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
-        if self._last is not None and self._last.image.shape[:2] == frame.image.shape[:2]:
+        if self._last is not None and self._last.size_wh == frame.size_wh:
             self._track(self._last)
 
     def _in_origin(self, covariance):
@@ -248,13 +248,13 @@ class Stabilizer:
         return self._leveler.update(stamp_ns, self._R_origin_camera, up)
 
     def _track(self, frame):
-        grey = self._projection.grey_sphere(frame.image, self._working_width)
+        grey = self._projection.grey_sphere(frame, self._working_width)
         return self._tracker.track(grey, frame.stamp_ns)
 
 
-def projection_of(image, config):
-    """Return the Projection of an image (H, W[, C]) by a StabilizerConfig, or raise FrameError."""
-    height, width = image.shape[:2]
+def projection_of(size_wh, config):
+    """Return the Projection of images of a size by a StabilizerConfig, or raise FrameError."""
+    width, height = size_wh
     if config.projection == DUAL_FISHEYE:
         fisheye = config.fisheye
         if not fits(fisheye, (width, height)):
@@ -262,7 +262,7 @@ def projection_of(image, config):
                 'not as calibrated', f'the image is {width}x{height}, the calibration of the '
                 f'fisheye lenses is for {fisheye.width}x{fisheye.height}')
         projection = dual_fisheye(fisheye, (width, height))
-    elif is_equirect(image.shape):
+    elif is_equirect((height, width)):
         projection = Equirect(width)
     else:
         raise FrameError('not 2:1', f'an equirectangular image is twice as wide as high, this is '

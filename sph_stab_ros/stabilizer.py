@@ -51,11 +51,12 @@ from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import Parser
 from sph_stab_ros.config import ConfigError, VIEW
-from sph_stab_ros.frame import Frame
 from sph_stab_ros.level import IMU, LevelError
 from sph_stab_ros.masks import MaskError
-from sph_stab_ros.process_setup import give_back_freed_memory, set_up_process
-from sph_stab_ros.recording.images import image_from_message, ImageError
+from sph_stab_ros.process_setup import (
+    bounded_ending, give_back_freed_memory, set_up_process)
+from sph_stab_ros.recording.images import ImageError
+from sph_stab_ros.recording.jpeg_frame import frame_from_message
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
@@ -190,8 +191,9 @@ class StabilizerNode(Node):
     def _track(self, msg, received_s):
         cpu = self._diagnostics.cpu
         with cpu.stage('decode'):
-            frame = Frame(
-                image_from_message(msg), stamp_ns(msg.header.stamp), msg.header.frame_id)
+            frame = frame_from_message(msg, stamp_ns(msg.header.stamp), msg.header.frame_id)
+            if self._outputs.pictures_wanted:
+                frame.load()
         with cpu.stage('track'):
             self._take_over_what_is_wanted()
             self._start_anew_where_time_went_back(frame.stamp_ns)
@@ -262,9 +264,10 @@ def main(args=None):
     finally:
         # It is ending: rclpy's handler would touch what is freed meanwhile.
         uninstall_signal_handlers()
-        if node:
-            node.destroy_node()
-        rclpy.try_shutdown()
+        with bounded_ending():
+            if node:
+                node.destroy_node()
+            rclpy.try_shutdown()
     return 0
 
 

@@ -57,7 +57,7 @@ class Stitched:
         self._skip_log = SkipLog(self.name)
         for frame in self._recording.frames():
             try:
-                projection = projection_of(frame.image, self._config)
+                projection = projection_of(frame.size_wh, self._config)
             except FrameError as error:
                 self._skip_log.add(error.reason, error)
                 continue

@@ -154,7 +154,7 @@ def test_circles_show_the_sphere_they_were_rendered_from(config):
     derotated = equirect_warp(width)(picture, R_world_camera.inv(), projection)
     # Of a standard deviation of 43; twice interpolated, and in small pictures too coarse.
     assert np.abs(derotated.astype(float) - textured_sphere(width)).mean() < 1.5
-    grey = projection.grey_sphere(picture, width // 2)
+    grey = projection.grey_sphere(Frame(picture, 0), width // 2)
     assert np.abs(grey.astype(float) - textured_sphere(
         width // 2, R_world_camera)).mean() < 5
 

@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 
 JPEG_QUALITY = 90
+JPEG, PNG = 'JPEG', 'PNG'
 
 # Encoding: channels, and the conversion into BGR or grey where one is needed.
 ENCODINGS = {
@@ -86,19 +87,28 @@ def image_from_compressed(data):
 
     A file cut short is refused; OpenCV would return it with its lower part grey.
     """
-    buffer = np.frombuffer(data, np.uint8)
-    data = buffer.tobytes()
+    data = bytes(data)
+    return decoded(data, kind_of_whole_file(data))
+
+
+def kind_of_whole_file(data):
+    """Return JPEG or PNG, whichever ``data`` (bytes) are, or raise ImageError."""
     if data.startswith(b'\xff\xd8'):
-        kind = 'JPEG'
+        kind = JPEG
         # Neither marker occurs within a scan, and a thumbnail precedes the last scan.
         whole = data.rfind(b'\xff\xd9') > data.rfind(b'\xff\xda') > 0
     elif data.startswith(b'\x89PNG\r\n\x1a\n'):
-        kind, whole = 'PNG', b'IEND' in data[-64:]
+        kind, whole = PNG, b'IEND' in data[-64:]
     else:
         raise ImageError('not JPEG or PNG', f'{len(data)} bytes of something else')
     if not whole:
         raise ImageError(f'truncated {kind}', f'{len(data)} bytes without the end marker')
-    image = cv2.imdecode(buffer, cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return kind
+
+
+def decoded(data, kind, flags=cv2.IMREAD_ANYCOLOR):
+    """Return the picture in a file (bytes) by flags of cv2.imdecode; ImageError names its kind."""
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise ImageError(f'corrupt {kind}', f'{len(data)} bytes cannot be decoded')
     return image

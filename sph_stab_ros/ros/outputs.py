@@ -62,6 +62,11 @@ class Outputs:
         for view in self._views:
             view.look_home()
 
+    @property
+    def pictures_wanted(self):
+        """Tell whether anybody subscribes to pictures."""
+        return self._sphere.wanted or any(view.picture_wanted for view in self._views)
+
     def publish_orientation(self, stabilized, image_header):
         """
         Publish where the camera of a StabilizedFrame looks, made of an image with a Header.

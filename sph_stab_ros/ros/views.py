@@ -81,6 +81,11 @@ class View:
         if 'hfov_deg' in own:
             self._steering.look(monotonic(), hfov_rad=np.deg2rad(self._view.hfov_deg))
 
+    @property
+    def picture_wanted(self):
+        """Tell whether anybody subscribes to the picture."""
+        return self._images.wanted
+
     def look(self):
         """Return the present Look."""
         return self._steering.at(monotonic())
@@ -95,7 +100,7 @@ class View:
         size_wh = self._view.width, self._view.height
         if is_wanted(self._info):
             self._info.publish(view_camera_info(header, look.hfov_rad, size_wh))
-        if self._images.wanted:
+        if self.picture_wanted:
             with cpu.stage('warp'):
                 image = stabilized.view(look.R_virtual_view, look.hfov_rad, size_wh)
                 if self._config.front_marker != 'none':
