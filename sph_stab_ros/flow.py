@@ -108,9 +108,15 @@ def dense_pairs(previous, current, flow='farneback', start=None, used=None):
         weights=row_solid_angles(width)[v])
 
 
+def at_most(grey, width):
+    """Return a grey sphere (H, W), reduced where it is wider than this."""
+    if grey.shape[1] <= width:
+        return grey
+    return cv2.resize(grey, (width, width // 2), interpolation=cv2.INTER_AREA)
+
+
 def has_texture(grey):
     """Tell whether a grey sphere (H, W) shows enough to measure any motion by."""
-    if grey.shape[1] > TEXTURE_WIDTH:
-        grey = cv2.resize(grey, (TEXTURE_WIDTH, TEXTURE_WIDTH // 2), interpolation=cv2.INTER_AREA)
+    grey = at_most(grey, TEXTURE_WIDTH)
     fine, coarse = (cv2.GaussianBlur(grey, (0, 0), sigma_px) for sigma_px in (0.7, 2.7))
     return np.mean(cv2.absdiff(fine, coarse) > MIN_CONTRAST) > MIN_TEXTURED_FRACTION

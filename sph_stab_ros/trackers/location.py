@@ -20,6 +20,7 @@ import numpy as np
 
 from sph_stab_ros.estimators.pose import (
     fit_depths, fit_pose, fit_pose_among_movers, Points, PoseEstimate)
+from sph_stab_ros.rotations import cross
 from sph_stab_ros.trackers.patches import LEVELS, MAX_LATITUDE_RAD
 from sph_stab_ros.trackers.surroundings import Sightings, trusted
 
@@ -138,7 +139,7 @@ def look_for(surroundings, rows, pyramid, R_world_camera, position, is_usable, l
     east -= (np.einsum('ni,ni->n', east, b)
              / (1 + np.einsum('ni,ni->n', x, b)))[:, None] * (x + b)
     east = east @ R_world_camera
-    south = np.cross(expected, east)
+    south = cross(expected, east)
     patches = surroundings.store.patches
     offsets, correlation, last_step_px = patches.find(
         landmarks.patch[rows], pyramid, expected, east, south, 1 / distance, levels)

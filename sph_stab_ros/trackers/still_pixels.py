@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from sph_stab_ros.equirect import pad_sphere
-from sph_stab_ros.trackers.thumbnail import rotation_gradient
+from sph_stab_ros.trackers.thumbnail import change_by_rotation
 
 WIDTH = 160
 MARGIN_PX = 4
@@ -58,7 +58,7 @@ class StillPixels:
         if np.linalg.norm(omega) < MIN_STEP_RAD:
             return
         inside = slice(MARGIN_PX, -MARGIN_PX)
-        expected = -rotation_gradient((small + previous) / 2, MARGIN_PX) @ omega
+        expected = change_by_rotation((small + previous) / 2, MARGIN_PX, -omega)
         change = (small - previous)[inside, inside]
         happened, evidence = (cv2.blur(expected * seen, (3, 3)) for seen in (change, expected))
         share = np.minimum(1, MAX_EVIDENCE / np.maximum(evidence, 1e-6))

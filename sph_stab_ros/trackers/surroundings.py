@@ -101,12 +101,22 @@ class Map:
     store: PatchStore = field(default_factory=PatchStore)
     _next_keyframe: int = 0
     _next_landmark: int = 0
+    _known_poses: tuple | None = None
 
     def hosts(self, rows):
         """Return R (N, 3, 3) and positions (N, 3) of the hosts of the landmarks in rows."""
-        index = np.searchsorted([one.number for one in self.keyframes], self.landmarks.host[rows])
-        return (np.array([one.R for one in self.keyframes])[index],
-                np.array([one.position for one in self.keyframes])[index])
+        numbers, R, positions = self._poses()
+        index = np.searchsorted(numbers, self.landmarks.host[rows])
+        return R[index], positions[index]
+
+    def _poses(self):
+        """Return the numbers (K,) of the keyframes, R (K, 3, 3) and positions (K, 3)."""
+        # Asked for several times per frame, they seldom change.
+        if self._known_poses is None:
+            self._known_poses = tuple(
+                np.array([getattr(one, name) for one in self.keyframes])
+                for name in ('number', 'R', 'position'))
+        return self._known_poses
 
     def directions(self, rows, position):
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
@@ -120,6 +130,7 @@ class Map:
         self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
                                        covariance, thumbnail, sightings))
         self._next_keyframe += 1
+        self._known_poses = None
 
     def add_landmarks(self, grey, pyramid, usable):
         """
@@ -175,13 +186,13 @@ class Map:
         seen = Sightings.joined([self.keyframes[i].sightings[shared[i]] for i in used])
         keyframe = np.repeat(used, [shared[i].sum() for i in used])
         point = np.searchsorted(numbers, seen.number)
-        host = np.searchsorted([one.number for one in self.keyframes], self.landmarks.host[rows])
+        keyframe_numbers, R, positions = self._poses()
+        host = np.searchsorted(keyframe_numbers, self.landmarks.host[rows])
         adjusted = adjust(Window(
-            np.array([one.R for one in self.keyframes]),
-            np.array([one.position for one in self.keyframes]),
-            np.arange(len(self.keyframes)) >= first, host, self.landmarks.x[rows],
+            R, positions, np.arange(len(self.keyframes)) >= first, host, self.landmarks.x[rows],
             self.landmarks.inverse_depth[rows], np.full(len(rows), 0.1 * FIRST_INFORMATION),
             keyframe, point, seen.y, seen.whitening), keep_distance=first == 1)
+        self._known_poses = None
         base = self.keyframes[first - 1].covariance
         for i, one in enumerate(self.keyframes[first:]):
             one.R, one.position = adjusted.R[first + i], adjusted.p[first + i]
@@ -206,6 +217,7 @@ class Map:
         distance[np.diag_indices_from(distance)] = np.inf
         dropped = old[int(np.argmin(distance.min(axis=1)))]
         self.keyframes.remove(dropped)
+        self._known_poses = None
         self._keep(self.landmarks.host != dropped.number)
 
     def near(self, position, count):

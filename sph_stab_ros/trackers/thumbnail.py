@@ -18,10 +18,10 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.equirect import bearing_grid, pad_sphere, row_solid_angles
 from sph_stab_ros.projection import Equirect
+from sph_stab_ros.rotations import rotation_from_matrix
 
 WIDTH = 64
 BLUR_PX = 1.0
@@ -70,11 +70,12 @@ def align(reference, current, R_current_reference):
         residual = seen - expected
         w = weights * np.minimum(1, HUBER / np.maximum(np.abs(residual), 1e-6))
         weighted = w[:, None] * J
-        omega = np.linalg.lstsq(weighted.T @ J, weighted.T @ residual, rcond=1e-6)[0]
+        # By singular values, because a picture may not tell of all axes.
+        omega = cv2.solve(weighted.T @ J, weighted.T @ residual, flags=cv2.DECOMP_SVD)[1]
         R = R @ cv2.Rodrigues(-omega.astype(float))[0]
         if np.linalg.norm(omega) < STEP_TOLERANCE_RAD:
             break
-    return Rotation.from_matrix(R)
+    return rotation_from_matrix(R)
 
 
 def difference(reference, current, R_current_reference):
@@ -95,13 +96,24 @@ def _rows_used():
 
 def rotation_gradient(padded, margin_px):
     """Return x × ∇I (H, W, 3) of a padded sphere, ∇I its gradient along the sphere per radian."""
-    m = margin_px
-    width = padded.shape[1] - 2 * m
-    px_per_rad = np.float32(width / (2 * np.pi))
-    along_u = cv2.Scharr(padded, cv2.CV_32F, 1, 0)[m:-m, m:-m] * (px_per_rad / 32)
-    along_v = cv2.Scharr(padded, cv2.CV_32F, 0, 1)[m:-m, m:-m] * (px_per_rad / 32)
-    per_u, per_v = _turned_directions(width)
+    along_u, along_v = _gradient(padded, margin_px)
+    per_u, per_v = _turned_directions(along_u.shape[1])
     return along_u[..., None] * per_u + along_v[..., None] * per_v
+
+
+def change_by_rotation(padded, margin_px, omega):
+    """Return ω · (x × ∇I) (H, W) for a small rotation omega (3,) in a third of the time."""
+    along_u, along_v = _gradient(padded, margin_px)
+    per_u, per_v = (one.reshape(-1, 3) @ omega for one in _turned_directions(along_u.shape[1]))
+    return along_u * per_u.reshape(along_u.shape) + along_v * per_v.reshape(along_v.shape)
+
+
+def _gradient(padded, margin_px):
+    """Return ∂I per radian of longitude and of latitude downwards, (H, W) each."""
+    inside = slice(margin_px, -margin_px)
+    px_per_rad = np.float32((padded.shape[1] - 2 * margin_px) / (2 * np.pi))
+    return (cv2.Scharr(padded, cv2.CV_32F, *axes, scale=px_per_rad / 32)[inside, inside]
+            for axes in ((1, 0), (0, 1)))
 
 
 @lru_cache(maxsize=2)
