@@ -62,7 +62,7 @@ def heading(R_world_camera):
     That is a turn about the vertical. A camera that looks straight up or down, within 15°, has
     no heading.
     """
-    x, _, z = R_world_camera.apply(FORWARD)
+    x, _, z = R_world_camera.as_matrix() @ FORWARD
     if np.hypot(x, z) < np.sin(STEEP_RAD):
         return None
     return Rotation.from_rotvec((0., np.arctan2(x, z), 0.))
@@ -155,8 +155,7 @@ class Leveler:
     def reset(self):
         """Start anew, with the next orientation as the world's."""
         with self._lock:
-            self._R_world_origin = Rotation.identity()
-            self._R_level_origin = Rotation.identity()
+            self._R_world_origin = self._R_level_origin = Rotation.identity()
             self._stamp_ns = None
             self._R_origin_camera = None
 
@@ -182,6 +181,8 @@ class Leveler:
 
     def _approached(self, stamp_ns):
         """Return R_world_origin on its way to R_level_origin."""
+        if self._R_world_origin is self._R_level_origin:
+            return self._R_world_origin
         correction_rad = (self._R_level_origin * self._R_world_origin.inv()).as_rotvec()
         share = 1.
         if self._stamp_ns is not None:

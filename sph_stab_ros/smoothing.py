@@ -37,6 +37,7 @@ FOLLOW = 'follow'
 YAW_FOLLOW = 'yaw_follow'
 MODES = (LOCK, FOLLOW, YAW_FOLLOW)
 
+WORLD = Rotation.identity()
 # The axis of a smaller rotation is noise.
 NO_AXIS_RAD = 1e-6
 
@@ -74,6 +75,10 @@ class Smoother:
     def update(self, config, stamp_ns, R_world_camera):
         """Return R_world_virtual for the next R_world_camera under a SmoothingConfig."""
         R_world_target = self._target(config.mode, R_world_camera)
+        if R_world_target is WORLD and self._R_world_virtual is WORLD:
+            # It rests, as in all frames of those who never wanted anything else.
+            self._stamp_ns = stamp_ns
+            return WORLD
         if self._R_world_virtual is None:
             self._R_world_virtual = R_world_target
             self._stamp_ns = stamp_ns
@@ -97,7 +102,7 @@ class Smoother:
         R_world_heading = heading(R_world_camera)
         if R_world_heading is not None:
             self._R_world_heading = R_world_heading
-        return {LOCK: Rotation.identity(), FOLLOW: R_world_camera,
+        return {LOCK: WORLD, FOLLOW: R_world_camera,
                 YAW_FOLLOW: self._R_world_heading}[mode]
 
 

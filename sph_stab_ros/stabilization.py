@@ -234,6 +234,8 @@ class Stabilizer:
         return self._start_covariance + turned(covariance, self._R_origin_start)
 
     def _take_in_imu(self):
+        if not self._imu_inbox:
+            return
         imu = self.config.imu
         R_camera_imu = mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg)))
         while self._imu_inbox:
