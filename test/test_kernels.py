@@ -14,7 +14,6 @@
 
 """What is compiled does the same as what is written in NumPy."""
 
-import ctypes
 import shutil
 
 import numpy as np
@@ -124,19 +123,32 @@ def test_what_cannot_be_written_to_is_read_as_well():
     seen.y.flags.writeable = False
     np.testing.assert_array_equal(
         r, pose.residuals(seen, np.eye(3), POSITION, seen.inverse_depths))
-    argument = kernels.library.pose_residuals.argtypes[-1]
+
+
+@pytest.mark.parametrize('wrong', [
+    np.empty(4), np.empty(8, np.float32)[::2], np.broadcast_to(np.float32(0), (4,))],
+    ids=['float64', 'not dense', 'read only'])
+def test_what_is_written_must_be_dense_and_of_its_type(wrong):
+    image, place = np.zeros((2, 2), np.uint8), np.zeros(4, np.float32)
+    kernels.library.read_pixels(4, image, 2, 2, place, place, np.empty(4, np.float32))
     with pytest.raises(TypeError):
-        argument.from_param(np.broadcast_to(np.zeros(2), (4, 2)))
+        kernels.library.read_pixels(4, image, 2, 2, place, place, wrong)
 
 
-def test_what_is_written_must_be_dense():
-    argument = kernels.library.pose_residuals.argtypes[-1]
-    argument.from_param(np.empty((4, 2)))
-    for wrong in (np.empty((4, 2), np.float32), np.empty((2, 4)).T, np.empty((4, 4))[:, :2]):
-        with pytest.raises(TypeError):
-            argument.from_param(wrong)
-
-
-def test_numbers_of_the_wrong_kind_are_refused():
-    with pytest.raises(ctypes.ArgumentError):
+def test_numbers_of_the_wrong_kind_or_count_are_refused():
+    with pytest.raises(TypeError):
         kernels.library.pose_residuals('many', *[np.zeros(9)] * 8)
+    with pytest.raises(ValueError):
+        kernels.library.pose_residuals(1, *[np.zeros(9)] * 7)
+
+
+class Interrupting:
+    """An array that somebody presses Ctrl-C at."""
+
+    def __array__(self, *_, **__):
+        raise KeyboardInterrupt
+
+
+def test_an_interruption_stays_one():
+    with pytest.raises(KeyboardInterrupt):
+        kernels.library.pose_residuals(1, Interrupting(), *[np.zeros(9)] * 7)

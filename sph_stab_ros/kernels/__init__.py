@@ -21,6 +21,7 @@ other thread waits for them, and they need neither Python's headers nor another 
 
 import ctypes
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class _Array:
     def __init__(self, dtype, written=False):
         self._dtype, self._written = dtype, written
 
-    def from_param(self, array):
+    def __call__(self, array):
         dense = np.ascontiguousarray(array, self._dtype)
         if self._written and dense is not array:
             raise TypeError('only dense arrays of the right type can be written to')
@@ -62,16 +63,30 @@ _ARGUMENTS = {
 }
 
 
+class _Function:
+    """
+    A function of the library, with its arguments' types by letters.
+
+    ctypes would convert arguments too, but make another exception of a Ctrl-C meanwhile.
+    """
+
+    def __init__(self, function, letters):
+        function.restype = None
+        self._function, self._types = function, [_TYPES[letter] for letter in letters]
+
+    def __call__(self, *arguments):
+        self._function(*[as_type(one) for as_type, one
+                         in zip(self._types, arguments, strict=True)])
+
+
 def _load():
-    """Return the library, None where it was not built."""
+    """Return the library's functions, None where it was not built."""
     spec = find_spec('sph_stab_ros.kernels._kernels')
     if spec is None:
         return None
-    library = ctypes.CDLL(spec.origin)
-    for name, letters in _ARGUMENTS.items():
-        function = getattr(library, name)
-        function.argtypes, function.restype = [_TYPES[letter] for letter in letters], None
-    return library
+    functions = ctypes.CDLL(spec.origin)
+    return SimpleNamespace(**{name: _Function(getattr(functions, name), letters)
+                              for name, letters in _ARGUMENTS.items()})
 
 
 library = _load()
