@@ -162,6 +162,39 @@ def test_an_unknown_place_is_the_start_of_a_new_world():
     assert TrackingStatus.LOST in statuses
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_after_a_long_gap_the_old_world_is_found_again(seed):
+    """From where landmarks are not found: far away, turned by any angle, among the same walls."""
+    R, p = flight(40)
+    tracker = AnchoredTracker(2 * WIDTH)
+    tracked((room(*one, width=2 * WIDTH) for one in zip(R, p)), tracker)
+    rng = np.random.default_rng(seed)
+    R_far = random_rotation(rng, 150) * R
+    p_far = p - p[0] + rng.uniform(-0.7, 0.7, size=3)
+    results = [tracker.track(room(*one, width=2 * WIDTH), (100 + i) * PERIOD_NS)
+               for i, one in enumerate(zip(R_far, p_far))]
+    assert results[0].status is TrackingStatus.LOST
+    assert {one.status for one in results[1:]} == {TrackingStatus.OK}
+    errors = [angle_deg(one.R_world_camera, R) for one, R in zip(results, R_far)]
+    assert errors[0] > 20
+    assert errors[-1] < 2
+    # That it had been lost is no secret before, and none afterwards.
+    sigmas_rad = [np.sqrt(np.linalg.eigvalsh(one.covariance)[-1]) for one in results[1:]]
+    assert sigmas_rad[0] > 0.5 and np.deg2rad(0.5) < sigmas_rad[-1] < np.deg2rad(3)
+
+
+def test_another_world_is_not_taken_for_the_old_one():
+    R, p = flight(20)
+    tracker = AnchoredTracker(WIDTH)
+    tracked(map(room, R, p), tracker)
+    upside_down = [room(*one)[::-1] for one in zip(R, p)]
+    results = [tracker.track(image, (100 + i) * PERIOD_NS) for i, image in enumerate(upside_down)]
+    assert results[0].status is TrackingStatus.LOST
+    steps_deg = [angle_deg(a.R_world_camera, b.R_world_camera)
+                 for a, b in zip(results[1:], results[2:])]
+    assert max(steps_deg) < 2
+
+
 def with_body(image):
     """Return the picture with a robot's body around the nadir, and three arms."""
     image = image.copy()

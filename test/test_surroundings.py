@@ -40,7 +40,8 @@ def sphere(seed=0):
 
 
 def add_keyframe(surroundings, R=Rotation.identity(), position=(0, 0, 0), sightings=NOTHING):
-    surroundings.add_keyframe(R, np.array(position, float), np.zeros((3, 3)), None, sightings)
+    surroundings.add_keyframe(
+        R, np.array(position, float), np.zeros((3, 3)), None, None, sightings)
 
 
 def look_around(surroundings, grey, usable=EVERYWHERE):

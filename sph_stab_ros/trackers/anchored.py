@@ -23,6 +23,7 @@ comes near.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -32,6 +33,7 @@ from sph_stab_ros.rotations import rotation_from_matrix
 from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.trackers.location import locate, look_for, MATURE_FRAMES, MIN_MATURE, MIN_POINTS
 from sph_stab_ros.trackers.patches import Pyramid
+from sph_stab_ros.trackers.recognition import Recognition, SIGMA_RAD
 from sph_stab_ros.trackers.still_pixels import StillPixels
 from sph_stab_ros.trackers.surroundings import Map, MAX_LANDMARKS, Sightings
 from sph_stab_ros.trackers.thumbnail import align, difference, Thumbnail
@@ -57,6 +59,8 @@ MAX_FINE_S = 0.05
 MAX_CANDIDATES = 6
 YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
 MAX_ATTEMPTS = 3
+# How a camera that was lost is turned nobody knows.
+LOST_RAD = 1.
 # A correction reaches the picture at this rate.
 MAX_CORRECTION_RAD = np.deg2rad(0.01)
 
@@ -107,6 +111,7 @@ class AnchoredTracker:
         self._covariance = np.zeros((3, 3))
         self._R_out_world = Rotation.identity()
         self._keyframe_to_add = None
+        self._recognition = None
 
     @property
     def still_pixels(self):
@@ -138,7 +143,7 @@ class AnchoredTracker:
                 held = self._predicted(stamp_ns)
                 if held.status is TrackingStatus.LOST:
                     self._R_world_camera = held.R_world_camera
-                    self._start_map(view, None)
+                    self._start_anew(view)
                 return held
             self._accept(view, stamp_ns, location)
             self._judge_landmarks(location)
@@ -148,11 +153,38 @@ class AnchoredTracker:
             self._R_out_world * self._R_world_camera, TrackingStatus.OK, self._covariance)
 
     def settle(self):
-        """Do what the last orientation did not have to wait for: add its frame as a keyframe."""
+        """Do what the last orientation did not have to wait for: keyframes, and recognition."""
         # Taken off first: one that fails must not fail again with every frame to come.
         keyframe, self._keyframe_to_add = self._keyframe_to_add, None
         if keyframe:
             self._add_keyframe(*keyframe)
+        if self._recognition:
+            self._recognise()
+
+    def _start_anew(self, view):
+        """Start a map in a world of its own, until the old one is recognised."""
+        # Lost again before that, it is still the old one that counts.
+        keyframes = (self._recognition or self._map).keyframes
+        used = cv2.resize(np.uint8(self._usable_pixels()), view.grey.shape[::-1],
+                          interpolation=cv2.INTER_NEAREST) > 0
+        self._recognition = Recognition(keyframes, view.grey, self._R_world_camera, used)
+        self._covariance = LOST_RAD ** 2 * np.eye(3)
+        self._start_map(view, None)
+
+    def _recognise(self):
+        """Go on looking for the old world, and turn the new one into it once it is found."""
+        R_old_new = self._recognition.step()
+        if R_old_new is not None:
+            known_better = SIGMA_RAD ** 2 - LOST_RAD ** 2
+            self._map.turn(R_old_new, known_better)
+            self._R_world_camera = R_old_new * self._R_world_camera
+            self._position = R_old_new.apply(self._position)
+            self._velocity_per_s = R_old_new.apply(self._velocity_per_s)
+            self._covariance = (_turned(self._covariance, R_old_new)
+                                + known_better * np.eye(3))
+            self._R_out_world = Rotation.identity()
+        if R_old_new is not None or self._recognition.is_over:
+            self._recognition = None
 
     def _start_map(self, view, stamp_ns):
         """Start anew from here, in the orientation reached."""
@@ -163,7 +195,7 @@ class AnchoredTracker:
         self._still.update(view.small, None)
         self._thumbnail, self._stamp_ns = view.thumbnail, stamp_ns
         self._map.add_keyframe(
-            self._R_world_camera, self._position, self._covariance, view.thumbnail,
+            self._R_world_camera, self._position, self._covariance, view.grey, view.thumbnail,
             Sightings(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
         self._map.add_landmarks(view.grey, view.pyramid, self._usable_pixels())
         self._landmarks_at_keyframe = MAX_LANDMARKS
@@ -258,7 +290,7 @@ class AnchoredTracker:
         sightings = [location.sightings(self._map.landmarks, location.agreeing),
                      self._returning(view)]
         sightings = Sightings.joined(sightings)
-        self._map.add_keyframe(before, self._position, self._covariance, view.thumbnail,
+        self._map.add_keyframe(before, self._position, self._covariance, view.grey, view.thumbnail,
                                sightings[np.argsort(sightings.number)])
         self._map.adjust()
         keyframe = self._map.keyframes[-1]

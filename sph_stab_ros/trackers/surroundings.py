@@ -82,12 +82,17 @@ class Sightings(Rows):
 
 @dataclass
 class Keyframe:
-    """R_world_camera (3, 3), position (3,), covariance (3, 3) of the former, what was seen."""
+    """
+    R_world_camera (3, 3), position (3,), covariance (3, 3) of the former, what was seen.
+
+    ``grey`` (H, W) is the camera's sphere.
+    """
 
     number: int
     R: np.ndarray
     position: np.ndarray
     covariance: np.ndarray
+    grey: np.ndarray
     thumbnail: Thumbnail
     sightings: Sightings
 
@@ -125,11 +130,19 @@ class Map:
              - self.landmarks.inverse_depth[rows, None] * (position - origins))
         return z / np.linalg.norm(z, axis=1, keepdims=True)
 
-    def add_keyframe(self, R_world_camera, position, covariance, thumbnail, sightings):
+    def add_keyframe(self, R_world_camera, position, covariance, grey, thumbnail, sightings):
         """Add a Keyframe from which Sightings were made."""
         self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
-                                       covariance, thumbnail, sightings))
+                                       covariance, grey, thumbnail, sightings))
         self._next_keyframe += 1
+        self._known_poses = None
+
+    def turn(self, R_new_old, added_variance):
+        """Turn the whole map; what is known of orientations changes by a variance in rad²."""
+        R = R_new_old.as_matrix()
+        for one in self.keyframes:
+            one.R, one.position = R @ one.R, R @ one.position
+            one.covariance = R @ one.covariance @ R.T + added_variance * np.eye(3)
         self._known_poses = None
 
     def add_landmarks(self, grey, pyramid, usable):
