@@ -28,16 +28,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.flow import at_most, has_texture, TEXTURE_WIDTH as SMALL_WIDTH
-from sph_stab_ros.projection import Equirect
 from sph_stab_ros.rotations import rotation_from_matrix
 from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.trackers.location import locate, look_for, MATURE_FRAMES, MIN_MATURE, MIN_POINTS
+from sph_stab_ros.trackers.motion import Motion
 from sph_stab_ros.trackers.patches import Pyramid
 from sph_stab_ros.trackers.recognition import Recognition, SIGMA_RAD
-from sph_stab_ros.trackers.still_pixels import StillPixels
+from sph_stab_ros.trackers.still_pixels import VisibleWorld
 from sph_stab_ros.trackers.surroundings import Map, MAX_LANDMARKS, Sightings
 from sph_stab_ros.trackers.thumbnail import align, difference, Thumbnail
-from sph_stab_ros.trajectory import NS_PER_S
 
 # A new keyframe is made where fewer of the landmarks than these are seen, or where they have moved
 # further since the last one, in the median.
@@ -52,7 +51,6 @@ RETURNING_SIZE = 8.0
 # How far the camera moves against a prediction, in the unit of the map, per second.
 POSITION_SIGMA_PER_S = 0.6
 MIN_POSITION_SIGMA = 0.02
-INERTIA = 0.8
 # After a longer time patches are searched coarsely first.
 MAX_FINE_S = 0.05
 # After a loss the last keyframes are tried, from these headings.
@@ -101,13 +99,9 @@ class AnchoredTracker:
     def reset(self):
         """Forget everything: the next frame's orientation is the new world."""
         self._map = Map()
-        self._still = StillPixels()
+        self._visible = VisibleWorld(self._used)
         self._thumbnail = None
-        self._stamp_ns = None
-        self._R_world_camera = Rotation.identity()
-        self._angular_velocity_rad_s = None
-        self._position = np.zeros(3)
-        self._velocity_per_s = np.zeros(3)
+        self._motion = Motion(self._max_prediction_s, self._turn_between)
         self._covariance = np.zeros((3, 3))
         self._R_out_world = Rotation.identity()
         self._keyframe_to_add = None
@@ -116,7 +110,7 @@ class AnchoredTracker:
     @property
     def still_pixels(self):
         """Pixels (80, 160) bool of the camera that stand still while the world turns."""
-        return self._still.mask
+        return self._visible.still.mask
 
     @property
     def keyframes_kept(self):
@@ -142,7 +136,7 @@ class AnchoredTracker:
             if location is None:
                 held = self._predicted(stamp_ns)
                 if held.status is TrackingStatus.LOST:
-                    self._R_world_camera = held.R_world_camera
+                    self._motion.R_world_camera = held.R_world_camera
                     self._start_anew(view)
                 return held
             self._accept(view, stamp_ns, location)
@@ -150,7 +144,7 @@ class AnchoredTracker:
             if self._is_keyframe(location):
                 self._keyframe_to_add = view, location
         return TrackedOrientation(
-            self._R_out_world * self._R_world_camera, TrackingStatus.OK, self._covariance)
+            self._R_out_world * self._motion.R_world_camera, TrackingStatus.OK, self._covariance)
 
     def settle(self):
         """Do what the last orientation did not have to wait for: keyframes, and recognition."""
@@ -165,9 +159,10 @@ class AnchoredTracker:
         """Start a map in a world of its own, until the old one is recognised."""
         # Lost again before that, it is still the old one that counts.
         keyframes = (self._recognition or self._map).keyframes
-        used = cv2.resize(np.uint8(self._usable_pixels()), view.grey.shape[::-1],
+        used = cv2.resize(np.uint8(self._visible.pixels()), view.grey.shape[::-1],
                           interpolation=cv2.INTER_NEAREST) > 0
-        self._recognition = Recognition(keyframes, view.grey, self._R_world_camera, used)
+        self._recognition = Recognition(
+            keyframes, view.grey, self._motion.R_world_camera, used)
         self._covariance = LOST_RAD ** 2 * np.eye(3)
         self._start_map(view, None)
 
@@ -177,9 +172,7 @@ class AnchoredTracker:
         if R_old_new is not None:
             known_better = SIGMA_RAD ** 2 - LOST_RAD ** 2
             self._map.turn(R_old_new, known_better)
-            self._R_world_camera = R_old_new * self._R_world_camera
-            self._position = R_old_new.apply(self._position)
-            self._velocity_per_s = R_old_new.apply(self._velocity_per_s)
+            self._motion.turn_world(R_old_new)
             self._covariance = (_turned(self._covariance, R_old_new)
                                 + known_better * np.eye(3))
             self._R_out_world = Rotation.identity()
@@ -189,29 +182,28 @@ class AnchoredTracker:
     def _start_map(self, view, stamp_ns):
         """Start anew from here, in the orientation reached."""
         self._map = Map()
-        self._position, self._velocity_per_s = np.zeros(3), np.zeros(3)
+        self._motion.begin(stamp_ns)
         self._R_out_world = Rotation.identity()
-        self._angular_velocity_rad_s = None
-        self._still.update(view.small, None)
-        self._thumbnail, self._stamp_ns = view.thumbnail, stamp_ns
+        self._visible.still.update(view.small, None)
+        self._thumbnail = view.thumbnail
         self._map.add_keyframe(
-            self._R_world_camera, self._position, self._covariance, view.grey, view.thumbnail,
-            Sightings(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
-        self._map.add_landmarks(view.grey, view.pyramid, self._usable_pixels())
+            self._motion.R_world_camera, self._motion.position, self._covariance, view.grey,
+            view.thumbnail, Sightings(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
+        self._map.add_landmarks(view.grey, view.pyramid, self._visible.pixels())
         self._landmarks_at_keyframe = MAX_LANDMARKS
 
     def _locate(self, view, stamp_ns):
         """Return the Location near where the camera is expected, None without."""
         if self._map.landmarks is None:
             return None
+        motion = self._motion
         R_camera_last = align(
-            self._thumbnail, view.thumbnail, self._turn_since(stamp_ns).inv())
-        elapsed_s = self._trusted_s(stamp_ns)
+            self._thumbnail, view.thumbnail, motion.turn_since(stamp_ns).inv())
+        elapsed_s = motion.trusted_s(stamp_ns)
         return locate(
             self._map, np.flatnonzero(self._map.landmarks.active), view.pyramid,
-            self._R_world_camera * R_camera_last.inv(),
-            self._position + INERTIA * elapsed_s * self._velocity_per_s,
-            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._is_usable,
+            motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
+            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._visible.shows,
             coarsely=elapsed_s > MAX_FINE_S)
 
     def _relocate(self, view):
@@ -232,7 +224,7 @@ class AnchoredTracker:
             location = locate(
                 self._map, rows, view.pyramid,
                 rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
-                POSITION_SIGMA_PER_S, self._is_usable, coarsely=True)
+                POSITION_SIGMA_PER_S, self._visible.shows, coarsely=True)
             if location is not None:
                 landmarks.active[location.rows] = True
                 landmarks.missed[location.rows] = 0
@@ -242,19 +234,11 @@ class AnchoredTracker:
 
     def _accept(self, view, stamp_ns, location):
         """Make this frame the last one that showed something."""
-        step = self._R_world_camera.inv() * location.R_world_camera
-        move = location.pose.position - self._position
-        self._angular_velocity_rad_s, self._velocity_per_s = None, np.zeros(3)
-        if self._stamp_ns is not None and stamp_ns > self._stamp_ns:
-            elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
-            self._angular_velocity_rad_s = step.as_rotvec() / elapsed_s
-            self._velocity_per_s = move / elapsed_s
-        self._still.update(view.small, step.inv())
-        self._thumbnail, self._stamp_ns = view.thumbnail, stamp_ns
-        self._R_world_camera = location.R_world_camera
-        self._position = location.pose.position
+        step = self._motion.arrive(stamp_ns, location.R_world_camera, location.pose.position)
+        self._visible.still.update(view.small, step.inv())
+        self._thumbnail = view.thumbnail
         self._covariance = (self._map.keyframes[-1].covariance
-                            + _turned(location.pose.covariance[:3, :3], self._R_world_camera))
+                            + _turned(location.pose.covariance[:3, :3], location.R_world_camera))
         left = self._R_out_world.as_rotvec()
         size = np.linalg.norm(left)
         self._R_out_world = Rotation.from_rotvec(
@@ -275,7 +259,7 @@ class AnchoredTracker:
         seen = location.rows[location.agreeing]
         last, some = self._map.keyframes[-1], seen[::4]
         parallax_rad = np.median(np.linalg.norm(
-            self._map.directions(some, self._position)
+            self._map.directions(some, self._motion.position)
             - self._map.directions(some, last.position), axis=1))
         if parallax_rad > MAX_PARALLAX_RAD:
             return True
@@ -286,28 +270,28 @@ class AnchoredTracker:
 
     def _add_keyframe(self, view, location):
         """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
-        before = self._R_world_camera
+        motion, before = self._motion, self._motion.R_world_camera
         sightings = [location.sightings(self._map.landmarks, location.agreeing),
                      self._returning(view)]
         sightings = Sightings.joined(sightings)
-        self._map.add_keyframe(before, self._position, self._covariance, view.grey, view.thumbnail,
-                               sightings[np.argsort(sightings.number)])
+        self._map.add_keyframe(before, motion.position, self._covariance, view.grey,
+                               view.thumbnail, sightings[np.argsort(sightings.number)])
         self._map.adjust()
         keyframe = self._map.keyframes[-1]
-        self._R_world_camera = rotation_from_matrix(keyframe.R)
-        self._position = keyframe.position
-        self._R_out_world = self._R_out_world * before * self._R_world_camera.inv()
-        self._map.add_landmarks(view.grey, view.pyramid, self._usable_pixels())
+        motion.R_world_camera = rotation_from_matrix(keyframe.R)
+        motion.position = keyframe.position
+        self._R_out_world = self._R_out_world * before * motion.R_world_camera.inv()
+        self._map.add_landmarks(view.grey, view.pyramid, self._visible.pixels())
         self._map.shrink()
         self._landmarks_at_keyframe = self._map.landmarks.active.sum()
 
     def _returning(self, view):
         """Wake landmarks at rest that are seen from here; return their Sightings."""
-        landmarks = self._map.landmarks
+        landmarks, motion = self._map.landmarks, self._motion
         rows, points = look_for(
-            self._map, self._map.near(self._position, MAX_RETURNING), view.pyramid,
-            self._R_world_camera, self._position, self._is_usable)
-        b = self._map.directions(rows, self._position) @ self._R_world_camera.as_matrix()
+            self._map, self._map.near(motion.position, MAX_RETURNING), view.pyramid,
+            motion.R_world_camera, motion.position, self._visible.shows)
+        b = self._map.directions(rows, motion.position) @ motion.R_world_camera.as_matrix()
         sizes = np.linalg.norm(
             np.einsum('nki,ni->nk', points.whitening, b - points.y), axis=1)
         back = (sizes < RETURNING_SIZE) & (landmarks.agreed[rows] >= MATURE_FRAMES)
@@ -316,60 +300,15 @@ class AnchoredTracker:
         return Sightings(landmarks.number[rows[back]], points.y[back],
                          points.whitening[back])
 
-    def _is_usable(self, bearings):
-        """Tell which bearings (N, 3) of the camera show the world."""
-        usable = ~_read(self._still.mask, bearings)
-        if self._used is not None:
-            usable &= _read(self._used, bearings)
-        return usable
-
-    def _usable_pixels(self):
-        """Return the pixels (H, W) bool where the world is to be seen."""
-        still = self._still.mask
-        if self._used is None:
-            return ~still
-        rows, columns = (np.arange(size) * of // size
-                         for size, of in zip(self._used.shape, still.shape))
-        return self._used & ~still[np.ix_(rows, columns)]
-
-    def _turn_since(self, stamp_ns):
-        """Return the turn R_last_camera expected since the last frame that showed something."""
-        measured = self._measured_turn_since(stamp_ns)
-        if measured is not None:
-            return measured
-        if self._angular_velocity_rad_s is None:
-            return Rotation.identity()
-        return Rotation.from_rotvec(self._angular_velocity_rad_s * self._trusted_s(stamp_ns))
-
-    def _trusted_s(self, stamp_ns):
-        """Return the time since the last frame that showed something, as far as it is trusted."""
-        if self._stamp_ns is None:
-            return 0.
-        elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
-        return min(max(elapsed_s, 0.), self._max_prediction_s)
-
-    def _measured_turn_since(self, stamp_ns):
-        """Return the same as the gyro saw it, None where it did not."""
-        return None if self._stamp_ns is None else self._turn_between(self._stamp_ns, stamp_ns)
-
     def _predicted(self, stamp_ns):
         """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
-        in_time = self._measured_turn_since(stamp_ns) is not None or (
-            self._angular_velocity_rad_s is not None
-            and 0 <= stamp_ns - self._stamp_ns <= self._max_prediction_s * NS_PER_S)
         return TrackedOrientation(
-            self._R_out_world * self._R_world_camera * self._turn_since(stamp_ns),
-            TrackingStatus.PREDICTED if in_time else TrackingStatus.LOST)
+            self._R_out_world * self._motion.R_world_camera * self._motion.turn_since(stamp_ns),
+            TrackingStatus.PREDICTED if self._motion.is_predictable(stamp_ns)
+            else TrackingStatus.LOST)
 
 
 def _turned(covariance, R):
     """Return a covariance (3, 3) in the frame that R turns into."""
     R = R.as_matrix()
     return R @ covariance @ R.T
-
-
-def _read(mask, bearings):
-    """Return the values (N,) of a mask (H, W) along bearings (N, 3)."""
-    height, width = mask.shape
-    columns, rows = np.rint(Equirect(width).pixels(*np.float32(bearings.T))).astype(int)
-    return mask[np.clip(rows, 0, height - 1), columns % width]

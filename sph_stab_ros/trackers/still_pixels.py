@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from sph_stab_ros.equirect import pad_sphere
+from sph_stab_ros.projection import Equirect
 from sph_stab_ros.trackers.thumbnail import change_by_rotation
 
 WIDTH = 160
@@ -66,3 +67,34 @@ class StillPixels:
         self._evidence = MEMORY * self._evidence + share * evidence
         still = (self._happened < MIN_SHARE * self._evidence) & (self._evidence > MIN_EVIDENCE)
         self.mask = cv2.dilate(still.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+
+
+class VisibleWorld:
+    """Where a camera sees the world: ``used`` (H, W) bool, or everywhere, but for StillPixels."""
+
+    def __init__(self, used=None):
+        self.still = StillPixels()
+        self._used = used
+
+    def shows(self, bearings):
+        """Tell along which bearings (N, 3) of the camera the world is to be seen."""
+        shown = ~_read(self.still.mask, bearings)
+        if self._used is not None:
+            shown &= _read(self._used, bearings)
+        return shown
+
+    def pixels(self):
+        """Return which pixels of a sphere show the world, (H, W) bool of whatever size."""
+        still = self.still.mask
+        if self._used is None:
+            return ~still
+        rows, columns = (np.arange(size) * of // size
+                         for size, of in zip(self._used.shape, still.shape))
+        return self._used & ~still[np.ix_(rows, columns)]
+
+
+def _read(mask, bearings):
+    """Return the values (N,) of a mask (H, W) along bearings (N, 3)."""
+    height, width = mask.shape
+    columns, rows = np.rint(Equirect(width).pixels(*np.float32(bearings.T))).astype(int)
+    return mask[np.clip(rows, 0, height - 1), columns % width]
