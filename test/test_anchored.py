@@ -195,6 +195,20 @@ def test_another_world_is_not_taken_for_the_old_one():
     assert max(steps_deg) < 2
 
 
+def test_lost_twice_it_is_the_first_world_that_is_looked_for():
+    R, p = flight(20)
+    images = [room(*one) for one in zip(R, p)]
+    tracker = AnchoredTracker(WIDTH)
+    tracked(images, tracker)
+    for i, image in enumerate(images[:6]):
+        tracker.track(image[::-1].copy(), (100 + i) * PERIOD_NS)
+    R_back = Rotation.from_euler('YXZ', (100, 20, 5), degrees=True) * R
+    results = [tracker.track(room(*one), (200 + i) * PERIOD_NS)
+               for i, one in enumerate(zip(R_back, p))]
+    assert results[0].status is TrackingStatus.LOST
+    assert angle_deg(results[-1].R_world_camera, R_back[-1]) < 2
+
+
 def with_body(image):
     """Return the picture with a robot's body around the nadir, and three arms."""
     image = image.copy()

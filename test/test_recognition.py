@@ -16,9 +16,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sph_stab_ros.estimators.base import BearingPairs
 from sph_stab_ros.estimators.essential import fit_essential
-from sph_stab_ros.trackers.recognition import turn_with_less_parallax
+from sph_stab_ros.trackers.recognition import (
+    MAX_PICTURES, Recognition, turn_with_less_parallax)
 from synthetic import angle_deg, random_rotation, unit
 
 
@@ -42,3 +44,12 @@ def test_without_translation_the_turn_is_found_as_well():
         pairs = BearingPairs(x, unit(R.apply(x) + noise), np.ones(len(x)))
         estimate = fit_essential(pairs)
         assert angle_deg(turn_with_less_parallax(estimate, pairs), R) < 1
+
+
+def test_so_many_pictures_are_tried():
+    grey, used = np.zeros((80, 160), np.uint8), np.ones((80, 160), bool)
+    recognition = Recognition([], grey, Rotation.identity(), used)
+    for _ in range(MAX_PICTURES - 1):
+        assert recognition.is_over
+        recognition = recognition.with_another(grey, Rotation.identity())
+    assert recognition.with_another(grey, Rotation.identity()) is None

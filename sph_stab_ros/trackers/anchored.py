@@ -152,7 +152,10 @@ class AnchoredTracker:
         keyframe, self._keyframe_to_add = self._keyframe_to_add, None
         if keyframe:
             self._add_keyframe(*keyframe)
-        if self._recognition:
+            if self._recognition and self._recognition.is_over:
+                self._recognition = self._recognition.with_another(
+                    keyframe[0].grey, self._motion.R_world_camera)
+        if self._recognition and not self._recognition.is_over:
             self._recognise()
 
     def _start_anew(self, view):
@@ -176,7 +179,6 @@ class AnchoredTracker:
             self._covariance = (_turned(self._covariance, R_old_new)
                                 + known_better * np.eye(3))
             self._R_out_world = Rotation.identity()
-        if R_old_new is not None or self._recognition.is_over:
             self._recognition = None
 
     def _start_map(self, view, stamp_ns):

@@ -29,6 +29,8 @@ from sph_stab_ros.matching import detect, match
 
 # The last keyframes before the loss are compared first, then as many of the others.
 LAST_TRIED = OTHERS_TRIED = 8
+# Where the new world began may never have been seen; so many of its other pictures are tried.
+MAX_PICTURES = 4
 # A single one may have been misled, by the robot's own body or by walkers; it is believed when
 # another keyframe says the same.
 AGREEMENT_RAD = np.deg2rad(3)
@@ -54,8 +56,9 @@ class Recognition:
 
     """
 
-    def __init__(self, keyframes, grey, R_new_camera, used):
+    def __init__(self, keyframes, grey, R_new_camera, used, pictures_left=MAX_PICTURES - 1):
         self.keyframes = keyframes
+        self._pictures_left = pictures_left
         self._grey, self._used, self._R_new_camera = grey, used, R_new_camera
         self._features = None
         # R_old_new by each keyframe that had an answer, and on how many pairs that stands.
@@ -68,6 +71,13 @@ class Recognition:
     def is_over(self):
         """Whether there is no keyframe left to compare with."""
         return not self._untried
+
+    def with_another(self, grey, R_new_camera):
+        """Return the same for another picture of the new world, None after MAX_PICTURES."""
+        if not self._pictures_left:
+            return None
+        return Recognition(
+            self.keyframes, grey, R_new_camera, self._used, self._pictures_left - 1)
 
     def step(self):
         """Compare with one more keyframe; return R_old_new, of the two worlds, once it is sure."""
