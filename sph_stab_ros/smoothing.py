@@ -75,13 +75,13 @@ class Smoother:
     def update(self, config, stamp_ns, R_world_camera):
         """Return R_world_virtual for the next R_world_camera under a SmoothingConfig."""
         R_world_target = self._target(config.mode, R_world_camera)
+        if self._R_world_virtual is None:
+            self._R_world_virtual = R_world_target
+            self._stamp_ns = stamp_ns
         if R_world_target is WORLD and self._R_world_virtual is WORLD:
             # It rests, as in all frames of those who never wanted anything else.
             self._stamp_ns = stamp_ns
             return WORLD
-        if self._R_world_virtual is None:
-            self._R_world_virtual = R_world_target
-            self._stamp_ns = stamp_ns
         ahead_rad = _rotvec_near(self._R_world_virtual.inv() * R_world_target, self._ahead_rad)
         elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
         turn_rad = np.zeros(3)

@@ -32,6 +32,7 @@ WIDTH = 320
 SIGMA_RAD = 1e-3
 NOTHING = Sightings(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3)))
 EVERYWHERE = np.ones((1, 2), bool)
+GREY = np.zeros((8, 16), np.uint8)
 
 
 @lru_cache(maxsize=4)
@@ -41,7 +42,7 @@ def sphere(seed=0):
 
 def add_keyframe(surroundings, R=Rotation.identity(), position=(0, 0, 0), sightings=NOTHING):
     surroundings.add_keyframe(
-        R, np.array(position, float), np.zeros((3, 3)), None, None, sightings)
+        R, np.array(position, float), np.zeros((3, 3)), GREY, None, sightings)
 
 
 def look_around(surroundings, grey, usable=EVERYWHERE):

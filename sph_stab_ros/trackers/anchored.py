@@ -28,7 +28,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.flow import at_most, has_texture, TEXTURE_WIDTH as SMALL_WIDTH
-from sph_stab_ros.recording.images import encode_jpeg
 from sph_stab_ros.rotations import rotation_from_matrix
 from sph_stab_ros.trackers.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.trackers.location import locate, look_for, MATURE_FRAMES, MIN_MATURE, MIN_POINTS
@@ -190,9 +189,8 @@ class AnchoredTracker:
         self._visible.still.update(view.small, None)
         self._thumbnail = view.thumbnail
         self._map.add_keyframe(
-            self._motion.R_world_camera, self._motion.position, self._covariance,
-            encode_jpeg(view.grey), view.thumbnail,
-            Sightings(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
+            self._motion.R_world_camera, self._motion.position, self._covariance, view.grey,
+            view.thumbnail, Sightings(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
         self._map.add_landmarks(view.grey, view.pyramid, self._visible.pixels())
         self._landmarks_at_keyframe = MAX_LANDMARKS
 
@@ -278,7 +276,7 @@ class AnchoredTracker:
         sightings = [location.sightings(self._map.landmarks, location.agreeing),
                      self._returning(view)]
         sightings = Sightings.joined(sightings)
-        self._map.add_keyframe(before, motion.position, self._covariance, encode_jpeg(view.grey),
+        self._map.add_keyframe(before, motion.position, self._covariance, view.grey,
                                view.thumbnail, sightings[np.argsort(sightings.number)])
         self._map.adjust()
         keyframe = self._map.keyframes[-1]

@@ -22,6 +22,7 @@ import numpy as np
 from sph_stab_ros.equirect import bearings_from_pixels, pixels_from_bearings
 from sph_stab_ros.estimators.bundle import adjust, Window
 from sph_stab_ros.estimators.pose import cauchy_weights
+from sph_stab_ros.recording.images import encode_jpeg
 from sph_stab_ros.rows import Rows
 from sph_stab_ros.trackers.patches import MAX_LATITUDE_RAD, Patches, PatchStore
 from sph_stab_ros.trackers.thumbnail import Thumbnail
@@ -135,10 +136,10 @@ class Map:
              - self.landmarks.inverse_depth[rows, None] * (position - origins))
         return z / np.linalg.norm(z, axis=1, keepdims=True)
 
-    def add_keyframe(self, R_world_camera, position, covariance, jpeg, thumbnail, sightings):
-        """Add a Keyframe from which Sightings were made."""
+    def add_keyframe(self, R_world_camera, position, covariance, grey, thumbnail, sightings):
+        """Add a Keyframe of a grey sphere (H, W), from which Sightings were made."""
         self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
-                                       covariance, jpeg, thumbnail, sightings))
+                                       covariance, encode_jpeg(grey), thumbnail, sightings))
         self._next_keyframe += 1
         self._known_poses = None
 
