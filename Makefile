@@ -11,7 +11,7 @@ EVALUATE := $(PY) -m sph_stab_ros.evaluate --flows farneback,dis
 SIMULATE := $(PY) -m sph_stab_ros.simulation
 RENDER := $(BPY) tools/photoreal/render.py
 RESULTS := results/evaluation
-FILL_IN_TABLES := $(PY) -m sph_stab_ros.page_tables $(RESULTS) docs/evaluation.md README.md
+FILL_IN_TABLES := $(PY) -m sph_stab_ros.evaluation.page_tables $(RESULTS) docs/evaluation.md README.md
 
 # The virtual environments bring their own ROS 2; one that the shell has sourced must not mix in.
 unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION
@@ -79,7 +79,7 @@ benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; h
 
 benchmark-ros: setup  ## Measure the node end to end, through the middleware
 	mkdir -p results/benchmark-ros
-	$(PY) -m sph_stab_ros.benchmark_ros --profile config/fastdds_large_images.xml \
+	$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml \
 	    --json results/benchmark-ros/benchmark_ros.json
 	@if command -v chromium > /dev/null; then \
 	  $(PY) tools/operator_latency.py --add-to results/benchmark-ros/benchmark_ros.json; \
@@ -87,7 +87,7 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware
 
 soak: setup  ## Let the node run for ten minutes while everything around it changes
 	mkdir -p results/soak
-	$(PY) -m sph_stab_ros.soak --json results/soak/soak.json
+	$(PY) -m sph_stab_ros.benchmark.soak --json results/soak/soak.json
 
 frames:  ## Render the pictures of the recordings into FRAMES by tools/photoreal; resumes
 	$(RENDER) drone '$(FRAMES)/drone' --logs '$(LOGS)' --frames 500

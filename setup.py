@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 from glob import glob
 
@@ -68,6 +62,9 @@ setup(
         ],
         'test': [
             'pytest>=7.4.4,<9',
+            # The order of the rooms, see pyproject.toml, and the types; the newest that run on 3.10.
+            'import-linter>=2.1,<2.6',
+            'mypy>=1.15,<1.19',
             # Drives the browser that is there; none of its own.
             'playwright>=1.60,<2',
             # Jazzy's linters with the flake8 and plugins of its platform, for the same rules.
@@ -95,7 +92,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            'benchmark = sph_stab_ros.benchmark:main',
+            'benchmark = sph_stab_ros.benchmark.__main__:main',
             'calibrate = sph_stab_ros.calibrate:main',
             'demo = sph_stab_ros.demo:main',
             'evaluate = sph_stab_ros.evaluate:main',

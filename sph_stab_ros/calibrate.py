@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 Refine the calibration of two fisheye lenses from a recording by what both of them see.
@@ -27,11 +21,11 @@ import sys
 import cv2
 import numpy as np
 
-from sph_stab_ros.calibration_file import calibration_text, read_calibration
+from sph_stab_ros.calibration.dual_fisheye import calibrate, CalibrationError, for_size
+from sph_stab_ros.calibration.file import calibration_text, read_calibration
 from sph_stab_ros.command_line import add_recording, frames_to_read, Parser, run
 from sph_stab_ros.config import ConfigError, FisheyeConfig
-from sph_stab_ros.fisheye import fits
-from sph_stab_ros.lens_calibration import calibrate, CalibrationError, for_size
+from sph_stab_ros.geometry.fisheye import fits
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 
@@ -79,7 +73,7 @@ def report(recording, greys, calibration):
 
 
 def arguments(argv):
-    """Return the parsed command line and the start, a FisheyeConfig; exit 2 on a wrong call."""
+    """Return the parsed command line and the start, a FisheyeConfig; exit 2 on a usage error."""
     parser = Parser(prog='calibrate', description=__doc__)
     add_recording(parser, 'REC')
     parser.add_argument('--out', metavar='FILE.yaml', type=Path, required=True,

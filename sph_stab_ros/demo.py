@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 See it work: play a recording through the real node, look around in it with a browser.
@@ -35,21 +29,22 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CompressedImage
-from sph_stab_ros import plots
 from sph_stab_ros.command_line import Parser, run
-from sph_stab_ros.evaluation import align, compare, EvaluationError
-from sph_stab_ros.frame import Frame
-from sph_stab_ros.processes import running
+from sph_stab_ros.command_line.processes import running
+from sph_stab_ros.evaluation import plots
+from sph_stab_ros.evaluation.alignment import align_trajectories
+from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.runs import compare, EvaluationError
+from sph_stab_ros.geometry.trajectory import Trajectory
+from sph_stab_ros.images.codec import image_from_message
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording, RecordingError
-from sph_stab_ros.recording.images import image_from_message
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.recording.video_writer import VideoWriter
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
-from sph_stab_ros.side_by_side import side_by_side
-from sph_stab_ros.stabilization import StabilizedFrame
-from sph_stab_ros.trackers import TrackingStatus
-from sph_stab_ros.trajectory import Trajectory
-from sph_stab_ros.truth import find_truth_topic, read_truth
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.tracking import TrackingStatus
 from tqdm import tqdm
 
 NAMESPACE = 'demo'
@@ -186,7 +181,7 @@ def write_results(recording, truth, listener, folder):
                         stabilized.stamp_ns)
     estimate = listener.trajectory()
     # The stamps are of one clock; a few seconds of motion would not tell an offset.
-    alignment = align(truth, estimate, clock_offset_ns=0)
+    alignment = align_trajectories(truth, estimate, clock_offset_ns=0)
     errors = compare(truth, estimate, alignment)
     plots.orientation_figure(recording.name, {'node': errors}).savefig(
         folder / 'orientation.png', dpi=plots.DPI)

@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Evaluate estimators against a recording's truth, or against rotations injected into it."""
 
@@ -27,21 +21,21 @@ import sys
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros import report
-from sph_stab_ros.alignment import EvaluationError, R_FLU_OPTICAL
 from sph_stab_ros.command_line import (
     add_projection_options, add_recording, add_tracker_options, frames_to_read, Parser,
     projection_options, run, tracker_config)
 from sph_stab_ros.config import (
     ANCHORED, EQUIRECT, MIN_WIDTH, options, StabilizerConfig, TrackerConfig)
-from sph_stab_ros.evaluation import evaluate_against_truth, evaluate_injected
-from sph_stab_ros.masks import load_mask, MaskError
+from sph_stab_ros.evaluation import report
+from sph_stab_ros.evaluation.alignment import EvaluationError
+from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_injected
+from sph_stab_ros.evaluation.stitched import Stitched
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
+from sph_stab_ros.geometry.masks import load_mask, MaskError
+from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
-from sph_stab_ros.stitched import Stitched
-from sph_stab_ros.trajectory import NS_PER_S
-from sph_stab_ros.truth import find_truth_topic, read_truth
-from sph_stab_ros.warp import view_rotation
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
@@ -126,7 +120,7 @@ def warn(name, alignment):
 
 def draw(folder, recording, errors):
     """Write the figures: of the errors, and of flow on the sphere as the paper shows it."""
-    from sph_stab_ros import figures, plots
+    from sph_stab_ros.evaluation import figures, plots
     plots.draw(folder, recording.name, errors)
     example = figures.find_example(recording, max(len(one.time_s) for one in errors.values()))
     if example is None:
@@ -155,7 +149,7 @@ def mount_argument(text):
         if np.isfinite(values).all() and len(values) == 4:
             return Rotation.from_quat(values)
         if np.isfinite(values).all() and len(values) == 3:
-            return R_FLU_OPTICAL * view_rotation(*np.deg2rad(values))
+            return R_BODY_CAMERA * view_rotation(*np.deg2rad(values))
     except ValueError:
         pass
     raise ArgumentTypeError(f"'{text}' is neither yaw,pitch,roll in degrees nor qx,qy,qz,qw")
@@ -189,7 +183,7 @@ def output_argument(text):
 
 
 def arguments(argv):
-    """Return the parsed command line and StabilizerConfigs by name; exit 2 on a wrong call."""
+    """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
     parser = Parser(prog='evaluate', description=__doc__)
     add_recording(parser, 'REC')
     parser.add_argument('--estimators', metavar='A,B,...', type=names_argument(ESTIMATORS),

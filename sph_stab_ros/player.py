@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 Publish a recording on ROS topics, in its own time or faster.
@@ -39,10 +33,10 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CompressedImage, Image
 
 from sph_stab_ros.command_line import Parser
-from sph_stab_ros.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.recording import open_recording, RecordingError
-from sph_stab_ros.recording.images import fill_compressed, fill_image
-from sph_stab_ros.trajectory import NS_PER_S
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
 # Reliable, as subscribers of either kind can receive that.
@@ -194,7 +188,7 @@ def restamp(msg, new_ns):
 
 
 def arguments(argv):
-    """Return the parsed command line; exit 2 on a wrong call."""
+    """Return the parsed command line; exit 2 on a usage error."""
     parser = Parser(prog='player', description='Publish a recording on ROS topics.')
     parser.add_argument('recording', metavar='REC', type=Path,
                         help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')

@@ -1,24 +1,14 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
-from collections import Counter
-from contextlib import closing, ExitStack
-from dataclasses import dataclass, field
-from itertools import islice
-import logging
+from contextlib import ExitStack
 from pathlib import Path
 import sys
 import time
@@ -29,86 +19,15 @@ from sph_stab_ros.command_line import (
     add_projection_options, add_recording, add_tracker_options, frames_to_read, Parser,
     projection_options, run, tracker_config)
 from sph_stab_ros.config import ANCHORED, NodeConfig, SmoothingConfig, ViewConfig
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.geometry.trajectory import tum_line
+from sph_stab_ros.images.side_by_side import side_by_side
+from sph_stab_ros.recording import open_recording
 from sph_stab_ros.recording.output import partial_output
-from sph_stab_ros.side_by_side import side_by_side
-from sph_stab_ros.stabilization import FrameError, Stabilizer, view_direction
-from sph_stab_ros.trajectory import tum_line
+from sph_stab_ros.stabilization.pipeline import Stabilizer, view_direction
+from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
-
-logger = logging.getLogger(__name__)
-
-
-@dataclass
-class Summary:
-    """What happened in a replay."""
-
-    frames: int = 0
-    statuses: Counter = field(default_factory=Counter)
-    notices: Counter = field(default_factory=Counter)
-    left_out: Counter = field(default_factory=Counter)
-    turned_rad: float = 0.
-    R_world_camera: object = None
-
-    def add(self, stabilized):
-        """Count a StabilizedFrame; name the first notice of each kind in the log."""
-        self.frames += 1
-        self.statuses[stabilized.status.value] += 1
-        for notice in stabilized.notices:
-            self.notices[notice.value] += 1
-            if self.notices[notice.value] == 1:
-                logger.warning('picture %d at %.3f s: %s (more of these are only counted)',
-                               self.frames, stabilized.stamp_ns / 1e9, notice.value)
-        if self.R_world_camera is not None:
-            self.turned_rad += (self.R_world_camera.inv() * stabilized.R_world_camera).magnitude()
-        self.R_world_camera = stabilized.R_world_camera
-
-
-def replay(recording, stabilizer, sinks=(), max_frames=None, progress=iter):
-    """
-    Stabilise a Recording frame by frame and return the Summary.
-
-    Parameters
-    ----------
-    recording : Recording
-        Its frames are read to the end or to ``max_frames``.
-    stabilizer : Stabilizer
-        Fresh, or in the orientation to go on from.
-    sinks : iterable of callable
-        Each is called with each StabilizedFrame.
-    max_frames : int, optional
-        How many pictures to read; all by default.
-    progress : callable
-        Passes on the iterator of frames that it is given, and may tell of it.
-
-    Raises
-    ------
-    RecordingError
-        Where not one picture can be used.
-
-    """
-    summary = Summary()
-    with closing(recording.frames()) as frames:
-        for frame in progress(islice(frames, max_frames)):
-            try:
-                stabilized = stabilizer.process(frame)
-            except FrameError as error:
-                summary.left_out[error.reason] += 1
-                if summary.left_out[error.reason] == 1:
-                    logger.warning('%s: picture left out, %s (more of these are only counted)',
-                                   recording.name, error)
-                continue
-            summary.add(stabilized)
-            for sink in sinks:
-                sink(stabilized)
-    summary.left_out += recording.skipped
-    if not summary.frames:
-        reasons = ', '.join(f'{reason}: {n}' for reason, n in summary.left_out.items())
-        raise RecordingError(
-            f'{recording.name} has no usable picture ({reasons or "none at all"})')
-    return summary
 
 
 def trajectory_sink(path, force, stack):
@@ -165,7 +84,7 @@ def report(summary, config, elapsed_s):
     counts = ', '.join(f'{n} {status}' for status, n in summary.statuses.items())
     yield (f'{summary.frames} frames in {elapsed_s:.1f} s '
            f'({summary.frames / elapsed_s:.1f} frames/s): {counts}')
-    for counted in (summary.notices, summary.left_out):
+    for counted in (summary.events, summary.left_out):
         for what, n in counted.items():
             yield f'{n}x {what}'
     turned = (f'{np.rad2deg(summary.turned_rad):.0f} deg of turning in all, '
@@ -192,7 +111,7 @@ def smoothing_argument(text):
 
 
 def arguments(argv):
-    """Return the parsed command line and the NodeConfig; exit 2 on a wrong call."""
+    """Return the parsed command line and the NodeConfig; exit 2 on a usage error."""
     parser = Parser(prog='replay', description=__doc__)
     add_recording(parser, 'IN')
     parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
@@ -243,9 +162,10 @@ def main(argv=None):
                 sinks.append(output_sink(args, config, stack))
             stack.enter_context(logging_redirect_tqdm())
             # Shown on terminals only.
-            summary = replay(recording, Stabilizer(config), sinks, args.max_frames,
-                             lambda frames: tqdm(frames, total=total, unit=' frames',
-                                                 disable=None))
+            summary = stabilize_recording(
+                recording, Stabilizer(config), sinks, args.max_frames,
+                lambda frames: tqdm(frames, total=total, unit=' frames',
+                                    disable=None))
         for line in report(summary, config, time.perf_counter() - start_s):
             print(line)
 

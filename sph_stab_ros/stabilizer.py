@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 The ROS 2 node: spherical images in; orientation, stabilised images and steerable views out.
@@ -50,13 +44,14 @@ from rclpy.node import Node
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import Parser
-from sph_stab_ros.config import ConfigError, VIEW
-from sph_stab_ros.level import IMU, LevelError
-from sph_stab_ros.masks import MaskError
-from sph_stab_ros.process_setup import (
+from sph_stab_ros.command_line.process_setup import (
     bounded_ending, give_back_freed_memory, set_up_process)
-from sph_stab_ros.recording.images import ImageError
-from sph_stab_ros.recording.jpeg_frame import frame_from_message
+from sph_stab_ros.config import ConfigError, IMU, VIEW
+from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.masks import MaskError
+from sph_stab_ros.geometry.projection_factory import ProjectionError
+from sph_stab_ros.images.codec import ImageError
+from sph_stab_ros.images.jpeg_frame import frame_from_message
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
@@ -64,8 +59,8 @@ from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.ros.outputs import Outputs
 from sph_stab_ros.ros.parameters import declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.worker import Worker
-from sph_stab_ros.stabilization import FrameError, Stabilizer
-from sph_stab_ros.trajectory import NS_PER_S
+from sph_stab_ros.stabilization.level import LevelError
+from sph_stab_ros.stabilization.pipeline import Stabilizer
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -181,7 +176,7 @@ class StabilizerNode(Node):
         """Do some work: one frame must not end the node."""
         try:
             work(*item)
-        except (ImageError, FrameError) as error:
+        except (ImageError, ProjectionError) as error:
             self._diagnostics.refuse(error.reason, error)
         except Exception as error:
             # After a shutdown nothing can be published.

@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Lenses of known parameters are found from others that are wrong."""
 
@@ -23,10 +17,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.calibrate import main
-from sph_stab_ros.calibration_file import calibration_text, read_calibration, THETA_S
+from sph_stab_ros.calibration.dual_fisheye import calibrate, CalibrationError, for_size
+from sph_stab_ros.calibration.file import calibration_text, read_calibration, THETA_S
 from sph_stab_ros.config import ConfigError, FisheyeConfig
-from sph_stab_ros.fisheye import dual_fisheye
-from sph_stab_ros.lens_calibration import calibrate, CalibrationError, for_size
+from sph_stab_ros.geometry.fisheye import dual_fisheye
 from sph_stab_ros.replay import main as replay
 from tiny_recordings import write_bag
 
@@ -157,7 +151,7 @@ def test_a_calibration_is_the_same_when_read_again(tmp_path):
 def test_the_package_has_the_calibration_of_a_theta_s():
     path = ROOT / 'config' / 'theta_s.yaml'
     assert path.read_text() == calibration_text(FisheyeConfig(), THETA_S), (
-        'run: python3 -m sph_stab_ros.calibration_file > config/theta_s.yaml')
+        'run: python3 -m sph_stab_ros.calibration.file > config/theta_s.yaml')
     assert read_calibration(path) == FisheyeConfig()
     assert read_calibration(ROOT / 'config' / 'stabilizer.yaml') == FisheyeConfig()
 

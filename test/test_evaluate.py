@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The command line ``evaluate`` on small recordings, and its reading of truth."""
 
@@ -23,10 +17,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.evaluate import main
+from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.geometry.warp import rotate_equirect
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
-from sph_stab_ros.truth import find_truth_topic, read_truth
-from sph_stab_ros.warp import rotate_equirect
 
 START_NS = 1_700_000_000_123_456_789
 WIDTH = 256

@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The player in a process of its own, heard through the middleware."""
 
@@ -25,20 +19,20 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
+from sph_stab_ros.images.codec import image_from_message
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
-from sph_stab_ros.recording.images import image_from_message
 from tiny_recordings import IMAGE_TOPIC, PERIOD_NS, stamps_of, START_NS, textured_sphere
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from geometry_msgs.msg import QuaternionStamped  # noqa: E402, I100
-from node_harness import DOMAINS, leave, stamp_ns, TIMEOUT_S  # noqa: E402, I100
+from node_harness import DOMAINS, leave, stamp_ns, TIMEOUT_S  # noqa: E402
 import rclpy  # noqa: E402, I100
 from rclpy.context import Context  # noqa: E402, I100
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402, I100
 from rclpy.serialization import serialize_message  # noqa: E402, I100
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402, I100
-from sph_stab_ros.player import copy_fields, message_type  # noqa: E402, I100
+from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
 
 IMAGE = textured_sphere()
 

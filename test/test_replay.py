@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """The command replay: what it writes, what it says, and how it ends."""
 
@@ -25,14 +19,15 @@ import cv2
 import numpy as np
 import pytest
 from sph_stab_ros.config import StabilizerConfig
-from sph_stab_ros.frame import Frame
+from sph_stab_ros.evaluation.ground_truth import read_truth
+from sph_stab_ros.geometry.trajectory import read_tum
+from sph_stab_ros.images.codec import image_from_compressed
+from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import open_recording, RecordingError
-from sph_stab_ros.recording.images import image_from_compressed
-from sph_stab_ros.replay import main, replay
+from sph_stab_ros.replay import main
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS, TRUTH_TOPIC
-from sph_stab_ros.stabilization import Stabilizer
-from sph_stab_ros.trajectory import read_tum
-from sph_stab_ros.truth import read_truth
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 from tiny_recordings import PERIOD_NS, stamps_of, textured_sphere, turning_spheres, write_bag
 
 BAGS = Path(__file__).resolve().parents[1] / 'bags'
@@ -177,8 +172,8 @@ class Frames:
 def replayed(images, stamps_ns):
     """Return the StabilizedFrames of a replay and its summary."""
     stabilized = []
-    summary = replay(Frames(images, stamps_ns), Stabilizer(StabilizerConfig()),
-                     [stabilized.append])
+    summary = stabilize_recording(Frames(images, stamps_ns), Stabilizer(StabilizerConfig()),
+                                  [stabilized.append])
     return stabilized, summary
 
 
@@ -191,7 +186,7 @@ def test_stamps_that_do_not_increase_are_counted(turning, caplog):
     stabilized, summary = replayed(images, stamps_ns)
     assert [s.stamp_ns for s in stabilized] == stamps_ns.tolist()
     assert angles_deg(stabilized[-1].R_world_camera, R_world_camera[-1]) < 0.5
-    assert list(summary.notices.values()) == [2]
+    assert list(summary.events.values()) == [2]
     assert len(caplog.records) == 1 and 'not later' in caplog.text
 
 

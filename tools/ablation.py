@@ -9,22 +9,22 @@ from unittest import mock
 import numpy as np
 
 from sph_stab_ros.config import StabilizerConfig
-from sph_stab_ros.estimators import pose
-from sph_stab_ros.evaluation import evaluate_against_truth
+from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.runs import evaluate_against_truth
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS
-from sph_stab_ros.trackers import anchored, location, surroundings
-from sph_stab_ros.truth import find_truth_topic, read_truth
+from sph_stab_ros.tracking.anchored import (
+    landmark_map, localization, pose_estimation, tracker)
 
 VARIANTS = {
     'as it is': (),
-    'no probation: all landmarks have a say': ((location, 'MATURE_FRAMES', 0),),
-    'one keyframe adjusted at a time': ((surroundings, 'ADJUSTED_KEYFRAMES', 1),),
-    'landmarks at rest are not looked for': ((anchored, 'MAX_RETURNING', 0),),
-    '300 landmarks': ((surroundings, 'MAX_LANDMARKS', 300),),
-    'no random starts where much moves': ((pose, 'TRIALS', 0),),
-    'always searched coarsely first': ((anchored, 'MAX_FINE_S', -1.),),
-    'corrections at once': ((anchored, 'MAX_CORRECTION_RAD', np.pi),),
+    'no probation: all landmarks have a say': ((localization, 'MATURE_FRAMES', 0),),
+    'one keyframe adjusted at a time': ((landmark_map, 'ADJUSTED_KEYFRAMES', 1),),
+    'inactive landmarks are not looked for': ((tracker, 'MAX_RETURNING', 0),),
+    '300 landmarks': ((landmark_map, 'MAX_LANDMARKS', 300),),
+    'no random starts where much moves': ((pose_estimation, 'TRIALS', 0),),
+    'always searched coarsely first': ((tracker, 'MAX_FINE_S', -1.),),
+    'corrections at once': ((tracker, 'MAX_CORRECTION_RAD', np.pi),),
 }
 
 

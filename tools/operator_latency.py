@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 Measure the operator's page: from publishing the camera's picture to its pixels in the browser.
@@ -40,10 +34,10 @@ import rclpy
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from sensor_msgs.msg import CompressedImage, Image
-from sph_stab_ros.benchmark import machine
-from sph_stab_ros.processes import cpu_s, running
+from sph_stab_ros.benchmark.machine import machine
+from sph_stab_ros.command_line.processes import cpu_s, running
+from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.recording import open_recording
-from sph_stab_ros.recording.images import fill_compressed, fill_image
 
 NAMESPACE = 'benchmark'
 PICTURES = 60

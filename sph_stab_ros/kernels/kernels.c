@@ -239,25 +239,25 @@ INLINE void see(const double R[9], const double p[3], const double x[3], const d
 // pose.residuals.
 void pose_residuals(int n, const double *R, const double *p, const double *x,
                     const double *origins, const double *rho, const double *y,
-                    const double *whitening, double *r) {
+                    const double *sqrt_information, double *r) {
   for (int i = 0; i < n; i++) {
     double q[3], z[3], off[3];
     see(R, p, x + 3 * i, origins + 3 * i, rho[i], q, z);
     const double length = sqrt(dot(z, z));
     for (int j = 0; j < 3; j++) off[j] = z[j] / length - y[3 * i + j];
-    for (int k = 0; k < 2; k++) r[2 * i + k] = dot(whitening + 6 * i + 3 * k, off);
+    for (int k = 0; k < 2; k++) r[2 * i + k] = dot(sqrt_information + 6 * i + 3 * k, off);
   }
 }
 
 // pose.equations; H and g start at zero, the rest is set.
 void pose_equations(int n, const double *R, const double *p, const double *x,
-                    const double *origins, const double *rho, const double *whitening,
+                    const double *origins, const double *rho, const double *sqrt_information,
                     const double *r, const double *weights, double *H, double *g, double *H_rp,
                     double *H_rr, double *g_r) {
   for (int i = 0; i < n; i++) {
     double q[3], z[3], along_b[2], M[6], J[2][6], J_rho[2];
     see(R, p, x + 3 * i, origins + 3 * i, rho[i], q, z);
-    look(whitening + 6 * i, z, along_b, M);
+    look(sqrt_information + 6 * i, z, along_b, M);
     for (int k = 0; k < 2; k++) {
       double along[3];
       cross(z, M + 3 * k, J[k]);
@@ -276,10 +276,10 @@ void pose_equations(int n, const double *R, const double *p, const double *x,
   }
 }
 
-// What a sighting of a point x with inverse depth rho, hosted by keyframe h, in keyframe k says.
+// What a observation of a point x with inverse depth rho, hosted by keyframe h, in keyframe k says.
 INLINE void sight(const double *R_h, const double *p_h, const double *R_k,
                          const double *p_k, const double *x, double rho, const double *y,
-                         const double *whitening, double x_world[3], double q[3], double z[3],
+                         const double *sqrt_information, double x_world[3], double q[3], double z[3],
                          double r[2], double M[6]) {
   double W[6];
   turn(R_h, x, x_world);
@@ -287,36 +287,36 @@ INLINE void sight(const double *R_h, const double *p_h, const double *R_k,
     q[j] = p_k[j] - p_h[j];
     z[j] = x_world[j] - rho * q[j];
   }
-  for (int k = 0; k < 2; k++) turn(R_k, whitening + 3 * k, W + 3 * k);
+  for (int k = 0; k < 2; k++) turn(R_k, sqrt_information + 3 * k, W + 3 * k);
   look(W, z, r, M);
-  for (int k = 0; k < 2; k++) r[k] -= dot(whitening + 3 * k, y);
+  for (int k = 0; k < 2; k++) r[k] -= dot(sqrt_information + 3 * k, y);
 }
 
 // bundle.residuals.
-void bundle_residuals(int sightings, const int64_t *keyframe, const int64_t *host,
+void bundle_residuals(int observations, const int64_t *keyframe, const int64_t *host,
                       const int64_t *point, const double *R, const double *p, const double *x,
-                      const double *rho, const double *y, const double *whitening, double *r) {
-  for (int m = 0; m < sightings; m++) {
+                      const double *rho, const double *y, const double *sqrt_information, double *r) {
+  for (int m = 0; m < observations; m++) {
     const int64_t k = keyframe[m], h = host[m], i = point[m];
     double x_world[3], q[3], z[3], M[6];
     sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x + 3 * i, rho[i], y + 3 * m,
-          whitening + 6 * m, x_world, q, z, r + 2 * m, M);
+          sqrt_information + 6 * m, x_world, q, z, r + 2 * m, M);
   }
 }
 
 // bundle.normal_equations; slots (keyframes) are the places of those that are free, −1 of others.
 // All sums start at zero.
-void bundle_equations(int sightings, int columns, const int64_t *keyframe, const int64_t *host,
+void bundle_equations(int observations, int columns, const int64_t *keyframe, const int64_t *host,
                       const int64_t *point, const int64_t *slots, const double *R,
                       const double *p, const double *x, const double *rho, const double *y,
-                      const double *whitening, const double *weights, double *H, double *g,
+                      const double *sqrt_information, const double *weights, double *H, double *g,
                       double *H_rp, double *H_rr, double *g_r) {
-  for (int m = 0; m < sightings; m++) {
+  for (int m = 0; m < observations; m++) {
     const int64_t k = keyframe[m], h = host[m], i = point[m];
     const double weight = weights[m];
     double x_world[3], q[3], z[3], r[2], M[6], J[2][2][6];
     sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x + 3 * i, rho[i], y + 3 * m,
-          whitening + 6 * m, x_world, q, z, r, M);
+          sqrt_information + 6 * m, x_world, q, z, r, M);
     const int64_t places[2] = {6 * slots[k], 6 * slots[h]};
     for (int row = 0; row < 2; row++) {
       const double *along = M + 3 * row, J_rho = -dot(along, q);

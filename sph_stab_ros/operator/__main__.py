@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 Serve the operator's page: look around in the stabilised view with a browser.
@@ -32,7 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
-from sph_stab_ros.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
 
 PORT = 8360
 LOOPBACK = '127.0.0.1'
@@ -40,7 +34,7 @@ LOG = logging.getLogger('operator')
 
 
 def arguments(argv):
-    """Return the parsed command line; exit 2 on a wrong call."""
+    """Return the parsed command line; exit 2 on a usage error."""
     parser = Parser(
         prog='operator', description='Serve a page to look around in the stabilised view.',
         epilog='Topics are remapped by --ros-args -r image:=/camera/image.')

@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 The robot as the page knows it: pictures with orientations, the stabilizer's state and services.
@@ -31,15 +25,15 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
-from sph_stab_ros.config import ConfigError, SmoothingConfig
+from sph_stab_ros.config import ConfigError, MODES, SmoothingConfig
+from sph_stab_ros.images.codec import encode_jpeg, image_from_message, ImageError
 from sph_stab_ros.operator.pairing import Orientation, Pairing, Picture
 from sph_stab_ros.operator.server import RobotError
-from sph_stab_ros.recording.images import encode_jpeg, image_from_message, ImageError
 from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.image_topics import compressed_topic, subscribe_to_images
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
 from sph_stab_ros.ros.worker import Worker
-from sph_stab_ros.smoothing import MODES, Smoother
+from sph_stab_ros.stabilization.smoothing import Smoother
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 

@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Images and other messages out of rosbag2 and ROS 1 bags."""
 
@@ -20,9 +14,9 @@ import logging
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import get_typestore, Stores
 
-from sph_stab_ros.frame import Frame
+from sph_stab_ros.images.codec import image_from_message, ImageError
+from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording.base import RecordingError, SkipLog
-from sph_stab_ros.recording.images import image_from_message, ImageError
 from sph_stab_ros.recording.salvage import SalvagedBag
 
 logger = logging.getLogger(__name__)

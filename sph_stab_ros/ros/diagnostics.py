@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """What became of the images: counted, logged without flooding, summed up for /diagnostics."""
 
@@ -21,17 +15,17 @@ from time import monotonic
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 import numpy as np
 
-from sph_stab_ros.masks import share_of_sphere
+from sph_stab_ros.geometry.masks import share_of_sphere
 from sph_stab_ros.ros.cpu_meter import CpuMeter
-from sph_stab_ros.stabilization import Notice
-from sph_stab_ros.trackers import TrackingStatus
+from sph_stab_ros.stabilization.pipeline import StabilizationEvent
+from sph_stab_ros.tracking import TrackingStatus
 
 LOG_PERIOD_S = 5.0
 
 
 class Diagnostics:
     """
-    Counts frames, refused images and notices; its methods may be called from any thread.
+    Counts frames, refused images and events; its methods may be called from any thread.
 
     ``cpu`` is the CpuMeter of the stages that a frame goes through; ``listens_to_imu`` says
     whether samples of an IMU are expected.
@@ -54,7 +48,7 @@ class Diagnostics:
         self._frames = 0
         self._imu_refused = 0
         self._refused = Counter()
-        self._notices = Counter()
+        self._events = Counter()
         self._tracking = Counter()
         self._status = None
         self._gravity_is_known = True
@@ -66,14 +60,14 @@ class Diagnostics:
         with self._lock:
             self._frames += 1
             self._status = stabilized.status
-            self._gravity_is_known = Notice.NO_GRAVITY not in stabilized.notices
+            self._gravity_is_known = StabilizationEvent.NO_GRAVITY not in stabilized.events
             self._tracking[stabilized.status] += 1
             self._frames_in_period += 1
             self._uncertainty_rad = stabilized.uncertainty_rad
             self._keyframes = getattr(tracker, 'keyframes_kept', None)
-            self._still_pixels = getattr(tracker, 'still_pixels', None)
-        for notice in stabilized.notices:
-            self.notice(notice.name.lower(), notice.value)
+            self._still_pixels = getattr(tracker, 'body_mask', None)
+        for event in stabilized.events:
+            self.event(event.name.lower(), event.value)
         if stabilized.status is not TrackingStatus.OK:
             self._log.warn(stabilized.status, f'no rotation found: {stabilized.status.value}')
 
@@ -82,10 +76,10 @@ class Diagnostics:
         with self._lock:
             self._latencies_s.append(latency_s)
 
-    def notice(self, name, text):
+    def event(self, name, text):
         """Count and log something that users should hear of."""
         with self._lock:
-            self._notices[name] += 1
+            self._events[name] += 1
         self._log.warn(name, text)
 
     def refuse(self, reason, detail):
@@ -128,7 +122,7 @@ class Diagnostics:
                 'refused': sum(self._refused.values()),
                 **{f'refused: {reason}': n for reason, n in sorted(self._refused.items())},
                 **self._of_imu(elapsed_s),
-                **{f'notice: {name}': n for name, n in sorted(self._notices.items())},
+                **{f'event: {name}': n for name, n in sorted(self._events.items())},
             }
             values.update({f'cpu_percent: {stage}': f'{percent:.1f}'
                            for stage, percent in self.cpu.percentages().items()})
@@ -168,7 +162,7 @@ class Diagnostics:
         if self._status is not TrackingStatus.OK:
             return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'
         if not self._gravity_is_known:
-            return DiagnosticStatus.WARN, Notice.NO_GRAVITY.value
+            return DiagnosticStatus.WARN, StabilizationEvent.NO_GRAVITY.value
         return DiagnosticStatus.OK, 'ok'
 
 

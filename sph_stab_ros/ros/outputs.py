@@ -1,22 +1,16 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """What the node publishes of each stabilised frame: as much as somebody subscribes to."""
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, QuaternionStamped
 import numpy as np
-from sph_stab_ros.front_marker import mark_sphere
+from sph_stab_ros.images.front_marker import mark_sphere
 from sph_stab_ros.ros.image_topics import advertise, ImagePublisher, is_wanted
 from sph_stab_ros.ros.messages import orientation_message, pose_message
 from sph_stab_ros.ros.transforms import TransformPublisher

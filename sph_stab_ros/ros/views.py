@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 The virtual cameras: each has topics and parameters under its name, and looks where it is told to.
@@ -27,12 +21,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from sph_stab_ros.config import options, ViewConfig
-from sph_stab_ros.front_marker import mark_view
+from sph_stab_ros.images.front_marker import mark_view
 from sph_stab_ros.ros.image_topics import advertise, ImagePublisher, is_wanted, subscribe
-from sph_stab_ros.ros.messages import (
-    rates_from_twist, rotation_from_message, view_camera_info)
-from sph_stab_ros.stabilization import view_direction
-from sph_stab_ros.steering import Look, Steering
+from sph_stab_ros.ros.messages import rates_from_twist, rotation_from_message, view_camera_info
+from sph_stab_ros.stabilization.pipeline import view_direction
+from sph_stab_ros.stabilization.steering import Look, Steering
 from std_msgs.msg import Header
 
 DIRECTION = {'yaw_deg', 'pitch_deg', 'roll_deg'}

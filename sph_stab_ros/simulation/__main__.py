@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """Simulate a flight and write it as a recording with exact truth."""
 
@@ -110,7 +104,7 @@ def whole_flight(args):
 
 
 def part(command_line, whole, args):
-    """Return the part of the flight that is wanted; a part it does not have is a wrong call."""
+    """Return the part of the flight that is wanted; a part it does not have is a usage error."""
     frames = args.frames_limit
     if frames is None:
         frames = len(whole.stamps_ns[max(args.first_frame, 0)::max(args.every, 1)])

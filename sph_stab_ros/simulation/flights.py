@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 Camera motions with exact truth at any time, driven by real logs or synthetic.
@@ -31,7 +25,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation, RotationSpline
 
-R_BODY_CAMERA = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
+
 ROOM_SIZE_M = (8.0, 6.0, 3.2)
 HALL_SIZE_M = (9.0, 6.0, 2.8)
 PAD_S = 0.25  # every flight is also known this long before its first and after its last frame

@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 Recordings of simulated flights: pictures, and truth as a motion-capture system gives it.
@@ -23,11 +17,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
+from sph_stab_ros.images.codec import encode_jpeg, jpeg_format
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
-from sph_stab_ros.recording.images import encode_jpeg, jpeg_format
 from sph_stab_ros.recording.output import partial_output
-from sph_stab_ros.simulation.flights import R_BODY_CAMERA
 
 IMAGE_TOPIC = '/theta/image_raw/compressed'
 TRUTH_TOPIC = '/vrpn/pose'

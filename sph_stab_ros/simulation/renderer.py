@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 A quick ray caster for equirectangular pictures of a `Room`.
@@ -26,8 +20,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.equirect import bearing_grid
-from sph_stab_ros.simulation.flights import R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
+from sph_stab_ros.geometry.equirect import bearing_grid
 
 _STITCH_AXIS = np.array([2.0, 2.0, 1.0]) / 3.0
 _EXPOSURE_STEP_S = 1.5

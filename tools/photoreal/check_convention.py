@@ -1,16 +1,10 @@
 # Copyright 2026 The sph_stab_ros developers
-#
-# Licensed under the Apache License, Version 2.0 (the "License");
-# you may not use this file except in compliance with the License.
-# You may obtain a copy of the License at
-#
-#     http://www.apache.org/licenses/LICENSE-2.0
-#
-# Unless required by applicable law or agreed to in writing, software
-# distributed under the License is distributed on an "AS IS" BASIS,
-# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
-# See the License for the specific language governing permissions and
-# limitations under the License.
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
 
 """
 Check the rendered panorama against the package's pixel convention.
@@ -67,7 +61,7 @@ def offset_px(image, bearings, expected):
 
 def main():
     """Report the worst offset for a global and a rolling shutter."""
-    from sph_stab_ros.equirect import bearings_from_pixels, pixels_from_bearings
+    from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
     from sph_stab_ros.simulation import flights
     flight = flights.shake(seed=3, frames=40)
     rng = np.random.default_rng(0)

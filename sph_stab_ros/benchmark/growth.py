@@ -1,0 +1,72 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the anchored tracker takes as a recording becomes longer: time per frame and memory."""
+
+from itertools import chain, cycle, islice
+import os
+from pathlib import Path
+import resource
+import sys
+from time import perf_counter
+
+import numpy as np
+
+from sph_stab_ros.config import TrackerConfig
+from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.tracking import make_tracker, TrackingStatus
+
+# As much of a recording as is kept in memory, to be played there and back.
+MAX_PICTURES = 500
+PERIOD_NS = NS_PER_S // 30
+
+
+def growth(spheres, frames, progress=iter):
+    """
+    Return what the first and the last tenth of so many frames took, by name.
+
+    Parameters
+    ----------
+    spheres : sequence of np.ndarray
+        Grey ones (H, W) uint8 of one size, at least two; played there and back over and over.
+    frames : int
+        At least ten. Memory is taken after the first tenth, in which the tracker warms up.
+    progress : callable
+        Passes on the iterator of frame numbers that it is given.
+
+    """
+    tracker = make_tracker(TrackerConfig(), spheres[0].shape[1])
+    there_and_back = islice(cycle(chain(spheres, spheres[-2:0:-1])), frames)
+    tenth = frames // 10
+    times_ms, lost = np.empty(frames), 0
+    for number, grey in zip(progress(range(frames)), there_and_back):
+        start_s = perf_counter()
+        tracked = tracker.track(grey, number * PERIOD_NS)
+        times_ms[number] = 1000 * (perf_counter() - start_s)
+        lost += tracked.status is not TrackingStatus.OK
+        if number + 1 == tenth:
+            early = {'memory_mb': memory_mb(), **_kept(tracker)}
+    return {
+        'frames': frames, 'width': spheres[0].shape[1], 'lost_frames': lost,
+        'first_tenth': {'median_ms': float(np.median(times_ms[:tenth])), **early},
+        'last_tenth': {'median_ms': float(np.median(times_ms[-tenth:])),
+                       'memory_mb': memory_mb(), **_kept(tracker)}}
+
+
+def _kept(tracker):
+    return {'keyframes': int(tracker.keyframes_kept), 'landmarks': int(tracker.landmarks_kept)}
+
+
+def memory_mb():
+    """Return the memory that the process holds now; where no one tells, the most it ever held."""
+    statm = Path('/proc/self/statm')
+    if statm.exists():
+        return int(statm.read_text().split()[1]) * os.sysconf('SC_PAGE_SIZE') / 1e6
+    # Kilobytes, but on macOS, where it is bytes.
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / (1e6 if sys.platform == 'darwin' else 1e3)

@@ -1,0 +1,92 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the benchmark of the node sends: pictures that are ready, due at known times."""
+
+from dataclasses import dataclass
+from itertools import chain, cycle, islice
+from pathlib import Path
+import time
+
+import cv2
+from sensor_msgs.msg import CompressedImage, Image
+from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.images.codec import fill_compressed, fill_image
+from sph_stab_ros.recording import open_recording, RecordingError
+
+# Held in memory, 330 MB of raw pictures at 1920 columns, and played there and back.
+PICTURES = 60
+WARM_UP_S = 1.
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What is sent and how; ``profile`` is a Fast DDS profile, '' for its defaults."""
+
+    recording: Path
+    width: int
+    rate_hz: float
+    frames: int
+    output: str
+    transport: str
+    profile: str
+
+    @property
+    def name(self):
+        """Tell it from others."""
+        return f'{self.transport}, {"profile" if self.profile else "defaults"}'
+
+    @property
+    def warm_up_frames(self):
+        """How many pictures are sent before those that count."""
+        return round(WARM_UP_S * self.rate_hz)
+
+    @property
+    def compressed(self):
+        """Whether pictures travel as JPEG."""
+        return self.transport == 'compressed'
+
+    @property
+    def image_type(self):
+        """Return the type of the messages that pictures travel in."""
+        return CompressedImage if self.compressed else Image
+
+    def topic(self, name):
+        """Return where the pictures of ``name`` are."""
+        return f'{name}/compressed' if self.compressed else name
+
+    def stamps_ns(self, start_ns):
+        """Return the stamps of all pictures, in ns."""
+        count = self.warm_up_frames + self.frames
+        return [start_ns + round(n / self.rate_hz * NS_PER_S) for n in range(count)]
+
+
+class MemoryRecording:
+    """A Recording whose messages are ready, and stamped from the first one's time on."""
+
+    image_topic = 'image'
+
+    def __init__(self, scenario):
+        self._scenario = scenario
+        self.topics = {self.image_topic: f'sensor_msgs/msg/{scenario.image_type.__name__}'}
+        fill = fill_compressed if scenario.compressed else fill_image
+        size = scenario.width, scenario.width // 2
+        images = (cv2.resize(frame.image, size, interpolation=cv2.INTER_CUBIC)
+                  for frame in islice(open_recording(scenario.recording).frames(), PICTURES))
+        self._messages = [fill(scenario.image_type(), image) for image in images]
+        if not self._messages:
+            raise RecordingError(f'{scenario.recording} has no pictures')
+        self.start_ns = None
+
+    def messages(self, topic):
+        """Yield (stamp in ns, message); the first is due now."""
+        self.start_ns = time.time_ns()
+        there_and_back = cycle(chain(self._messages, self._messages[-2:0:-1]))
+        for time_ns, msg in zip(self._scenario.stamps_ns(self.start_ns), there_and_back):
+            msg.header.stamp.sec, msg.header.stamp.nanosec = divmod(time_ns, NS_PER_S)
+            yield time_ns, msg

@@ -1,0 +1,132 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What the command-line tools share: one line for an error, exit 2 for a usage error, 1 else."""
+
+import argparse
+import logging
+import os
+from pathlib import Path
+import signal
+import sys
+
+from sph_stab_ros.calibration.file import read_calibration
+from sph_stab_ros.command_line.process_setup import set_up_process
+from sph_stab_ros.config import (
+    ConfigError, DUAL_FISHEYE, EQUIRECT, options, StabilizerConfig, TrackerConfig)
+from sph_stab_ros.geometry.masks import load_mask, MaskError
+from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.tracking import working_width
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that says what is wrong in one line, without the usage before it."""
+
+    def error(self, message):
+        """Exit with status 2."""
+        self.exit(2, f'{self.prog}: {message}\n')
+
+
+def add_recording(parser, name):
+    """Add arguments for a recording to read, called ``name``, and for what of it."""
+    parser.add_argument('recording', metavar=name, type=Path,
+                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    parser.add_argument('--image-topic', metavar='TOPIC',
+                        help='where the images are in a bag with several image topics')
+    parser.add_argument('--max-frames', metavar='N', type=_count, help='stop after N pictures')
+
+
+def frames_to_read(recording, max_frames):
+    """Return how many pictures a Recording has, ``max_frames`` at most; None if unknown."""
+    return min(filter(None, (recording.frame_count, max_frames)), default=None)
+
+
+def _count(text):
+    count = int(text)
+    if count < 1:
+        raise argparse.ArgumentTypeError('must be at least 1')
+    return count
+
+
+def add_tracker_options(parser, without=()):
+    """Add an argument for each option of TrackerConfig: ``--working-width`` and so on."""
+    group = parser.add_argument_group('estimator')
+    for option in options(TrackerConfig):
+        if option.name in without:
+            continue
+        group.add_argument(
+            '--' + option.name.replace('_', '-'), type=type(option.default),
+            default=option.default, choices=option.choices, metavar=_metavar(option),
+            help=f'{option.description} (default: %(default)s)')
+
+
+def add_projection_options(parser):
+    """Add arguments for what the pictures are."""
+    group = parser.add_argument_group('projection')
+    by_name = {one.name: one for one in options(StabilizerConfig)}
+    group.add_argument(
+        '--projection', choices=by_name['projection'].choices,
+        help=f'{by_name["projection"].description} (default: equirect)')
+    group.add_argument(
+        '--calibration', metavar='FILE.yaml', type=Path,
+        help='parameters fisheye.* of the lenses, as calibrate writes them; the pictures are then '
+        "dual_fisheye (default: a Theta S')")
+
+
+def projection_options(parser, args):
+    """Return the options of StabilizerConfig, by name, that parsed arguments give."""
+    if args.calibration is None:
+        return {'projection': args.projection or EQUIRECT}
+    if args.projection == EQUIRECT:
+        parser.error('--calibration is for --projection dual_fisheye')
+    try:
+        return {'projection': DUAL_FISHEYE, 'fisheye': read_calibration(args.calibration)}
+    except ConfigError as error:
+        parser.error(f'--calibration: {error}')
+
+
+def tracker_config(parser, args):
+    """Return the TrackerConfig of parsed arguments; a value it does not take is a usage error."""
+    try:
+        config = TrackerConfig(**{o.name: getattr(args, o.name) for o in options(TrackerConfig)})
+        load_mask(config.mask, working_width(config))
+    except (ConfigError, MaskError) as error:
+        parser.error(str(error))
+    return config
+
+
+def _metavar(option):
+    if option.choices:
+        return '|'.join(option.choices)
+    return {int: 'N', float: 'X', str: 'TEXT'}[type(option.default)]
+
+
+def run(name, command):
+    """
+    Return the exit status of ``command()``: 0, or 1 after a line on stderr.
+
+    Warnings of the library go to stderr. SIGTERM ends the command as Ctrl-C does.
+    """
+    logging.basicConfig(format=f'{name}: %(message)s', level=logging.WARNING, stream=sys.stderr)
+    # SIGINT too: what a script starts in the background would ignore it.
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.default_int_handler)
+    set_up_process()
+    try:
+        command()
+    except RecordingError as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(f'{name}: interrupted', file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # Whoever read the output has seen enough; Python must not flush the rest either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return 0

@@ -1,0 +1,24 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Every option once: ROS parameters, command lines and parameter files are made from here."""
+
+from sph_stab_ros.config.options import (
+    ConfigError, get_option, Option, options, with_option)
+from sph_stab_ros.config.schema import (
+    ANCHORED, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW, IMU, ImuConfig,
+    LensConfig, LEVELS, LOCK, METHODS, MIN_WIDTH, MODES, NODE_PARAMETERS, NodeConfig, PROJECTIONS,
+    RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW, view_parameters, ViewConfig,
+    YAW_FOLLOW)
+
+__all__ = [
+    'ANCHORED', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME', 'FisheyeConfig', 'FLOWS',
+    'FOLLOW', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS', 'LOCK', 'METHODS',
+    'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options', 'PROJECTIONS',
+    'RESERVED', 'SmoothingConfig', 'StabilizerConfig', 'TrackerConfig', 'VIEW', 'view_parameters',
+    'ViewConfig', 'with_option', 'YAW_FOLLOW']

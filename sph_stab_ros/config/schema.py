@@ -1,0 +1,229 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Every option of the stabiliser and its node."""
+
+from dataclasses import dataclass, fields, replace
+import re
+
+from sph_stab_ros.config.options import Checked, ConfigError, option, options
+
+# The names that options choose from stand here, on the ground; the algorithms read them from here.
+ANCHORED = 'anchored'
+# The paper's three ways from a pair of pictures to a rotation.
+METHODS = ('pts', 'moment', 'pts_epipolar')
+FLOWS = ('farneback', 'dis')
+FIRST_FRAME = 'first_frame'
+IMU = 'imu'
+LEVELS = (FIRST_FRAME, IMU)
+LOCK = 'lock'
+FOLLOW = 'follow'
+YAW_FOLLOW = 'yaw_follow'
+MODES = (LOCK, FOLLOW, YAW_FOLLOW)
+# The only view, unless others are named.
+VIEW = 'view'
+VIEW_NAME = '[A-Za-z]([A-Za-z0-9]|_(?!_))*'
+# Roots of topics and of rclpy's own parameters.
+RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized')
+EQUIRECT = 'equirect'
+DUAL_FISHEYE = 'dual_fisheye'
+PROJECTIONS = (EQUIRECT, DUAL_FISHEYE)
+# Narrower spheres show too little.
+MIN_WIDTH = 128
+
+
+@dataclass(frozen=True)
+class TrackerConfig(Checked):
+    """How the rotation is estimated."""
+
+    estimator: str = option(
+        ANCHORED, 'Estimator of the rotation: anchored to keyframes, or one of the paper, chained '
+        'from frame to frame', choices=(ANCHORED, *METHODS))
+    flow: str = option('farneback', "Dense optical flow of the paper's estimators",
+                       choices=FLOWS)
+    flow_updates: int = option(
+        0, 'How often the flow is computed again on the derotated image', minimum=0, maximum=5)
+    epipolar_bound_deg: float = option(
+        30., 'Angle in degrees at which flow off its epipolar circle counts a quarter in '
+        "pts_epipolar; 180 for the paper's plain sum of squares",
+        minimum=1., maximum=180.)
+    working_width: int = option(
+        0, 'Width in pixels that images are reduced to for the estimator, at least 128; 0 leaves '
+        'it to the estimator: 640 for anchored, 480 for the others', minimum=0, maximum=3840)
+    mask: str = option(
+        '', "Pixels not to use: path of a 2:1 image (black) or 'lat:FROM,TO' in degrees")
+    max_prediction_s: float = option(
+        0.5, 'For how long in seconds the last angular velocity is trusted without measurement',
+        minimum=0., maximum=10.)
+
+    def __post_init__(self):
+        """Check each option's value."""
+        super().__post_init__()
+        if 0 < self.working_width < MIN_WIDTH:
+            raise ConfigError(f'working_width is 0 or at least {MIN_WIDTH}')
+
+
+@dataclass(frozen=True)
+class ViewConfig(Checked):
+    """The virtual camera: where it looks in the stabilised frame, and its picture."""
+
+    yaw_deg: float = option(
+        0., 'Direction in degrees, positive to the left', minimum=-360., maximum=360.)
+    pitch_deg: float = option(
+        0., 'Direction in degrees, positive up', minimum=-90., maximum=90.)
+    roll_deg: float = option(
+        0., 'Turn about the direction in degrees, positive clockwise', minimum=-180., maximum=180.)
+    hfov_deg: float = option(
+        90., 'Horizontal field of view in degrees', minimum=10., maximum=150.)
+    width: int = option(640, 'Width in pixels', minimum=16, maximum=7680)
+    height: int = option(480, 'Height in pixels', minimum=16, maximum=4320)
+    frame_id: str = option(
+        'view_optical', 'frame_id of the virtual camera; those of other views begin with their '
+        'names', live=False)
+
+
+@dataclass(frozen=True)
+class SmoothingConfig(Checked):
+    """What of the camera's turning stays in the pictures."""
+
+    mode: str = option(
+        LOCK, 'What the pictures keep of the turning: nothing (lock), slow turns (follow), or '
+        'slow turns of heading with a level horizon (yaw_follow)', choices=MODES)
+    time_constant_s: float = option(
+        2., 'How far in seconds the pictures of the other modes stay behind a steady turn',
+        minimum=0.05, maximum=60.)
+
+
+@dataclass(frozen=True)
+class ImuConfig(Checked):
+    """How the IMU sits: as a URDF says it, about fixed x forward, y left, z up of the camera."""
+
+    roll_deg: float = option(
+        0., "The IMU's roll in degrees, from axes x through the image centre, y left, z up",
+        minimum=-360., maximum=360.)
+    pitch_deg: float = option(
+        0., "The IMU's pitch in degrees, positive down, after roll",
+        minimum=-360., maximum=360.)
+    yaw_deg: float = option(
+        0., "The IMU's yaw in degrees, positive to the left, after roll and pitch",
+        minimum=-360., maximum=360.)
+
+
+@dataclass(frozen=True)
+class LensConfig(Checked):
+    """One lens of two: where its circle is in the picture, how it bends, where it looks."""
+
+    center_u_px: float = option(
+        319.5, 'Column of the centre of its circle', minimum=-10000., maximum=10000.)
+    center_v_px: float = option(
+        319.5, 'Row of the centre of its circle', minimum=-10000., maximum=10000.)
+    radius_px: float = option(
+        285., 'Distance from the centre in pixels of what lies 90 degrees off the axis',
+        minimum=16., maximum=10000.)
+    k1: float = option(
+        -0.002, 'Distortion: what lies t radians off the axis is seen at a distance that goes '
+        'with t (1 + k1 t^2 + k2 t^4)', minimum=-0.05, maximum=0.1)
+    k2: float = option(-0.005, 'Distortion, second term', minimum=-0.01, maximum=0.02)
+    yaw_deg: float = option(
+        0., "Where its axis looks in the camera's frame in degrees, positive to the left",
+        minimum=-360., maximum=360.)
+    pitch_deg: float = option(
+        0., 'Where its axis looks in degrees, positive up', minimum=-90., maximum=90.)
+    roll_deg: float = option(
+        90., 'How far it is turned about its axis in degrees, positive clockwise as it looks',
+        minimum=-360., maximum=360.)
+
+
+@dataclass(frozen=True)
+class FisheyeConfig(Checked):
+    """The calibration of a camera that shows two fisheye circles; by default a Theta S."""
+
+    width: int = option(
+        1280, 'Width of the pictures that the pixels below are counted in; those of others are '
+        'scaled', minimum=MIN_WIDTH, maximum=16384)
+    height: int = option(
+        720, 'Height of the pictures that the pixels below are counted in',
+        minimum=64, maximum=16384)
+    fov_deg: float = option(
+        190., 'Field of view of each lens in degrees', minimum=180., maximum=270.)
+    blend_deg: float = option(
+        6., 'Width in degrees of the band in which one lens fades into the other; at most what '
+        'both see', minimum=0., maximum=90.)
+    front: LensConfig = LensConfig()
+    rear: LensConfig = LensConfig(center_u_px=959.5, yaw_deg=180., roll_deg=-90.)
+
+
+@dataclass(frozen=True)
+class StabilizerConfig(Checked):
+    """What the stabiliser needs to know."""
+
+    tracker: TrackerConfig = TrackerConfig()
+    view: ViewConfig = ViewConfig()
+    smoothing: SmoothingConfig = SmoothingConfig()
+    imu: ImuConfig = ImuConfig()
+    level: str = option(
+        FIRST_FRAME, "What is level: the first image's orientation, or what the IMU on the topic "
+        'imu says, whose gyro then predicts turns as well', choices=LEVELS)
+    projection: str = option(
+        EQUIRECT, 'What the images are: equirectangular, or the two circles of two fisheye lenses '
+        'as calibrated in fisheye.*', choices=PROJECTIONS)
+    fisheye: FisheyeConfig = FisheyeConfig()
+
+
+@dataclass(frozen=True)
+class NodeConfig(StabilizerConfig):
+    """What the ROS node needs to know besides."""
+
+    image_transport: str = option(
+        'raw', 'Subscribe to image (raw) or to image/compressed', choices=('raw', 'compressed'),
+        live=False)
+    stabilized_frame: str = option(
+        'stabilized_optical', 'frame_id of the world in which the camera turns: optical axes, '
+        "the camera's own at the first image or at the last reset", live=False)
+    virtual_frame: str = option(
+        'virtual_optical', 'frame_id of the stabilized sphere where smoothing turns it against '
+        'the stabilized frame', live=False)
+    publish_tf: bool = option(
+        True, 'Publish the transforms from the camera to the stabilized frame and on to the '
+        'views, where tf2_msgs is installed')
+    views: tuple = option(
+        (VIEW,), 'Names of the views: each has topics NAME/image and so on, and parameters NAME.*',
+        live=False)
+    front_marker: str = option(
+        'none', "Which pictures show where the robot's front is",
+        choices=('none', 'views', 'all'))
+    front_yaw_deg: float = option(
+        0., "The robot's front in the camera's frame in degrees, positive to the left of its "
+        'forward axis', minimum=-360., maximum=360.)
+    cmd_vel_timeout_s: float = option(
+        0.5, 'How long in seconds a view goes on turning after the last cmd_vel',
+        minimum=0.01, maximum=60.)
+    jpeg_quality: int = option(
+        90, 'Quality of the compressed images that are published', minimum=1, maximum=100)
+
+    def __post_init__(self):
+        """Check each option's value, and that the views can be told apart."""
+        super().__post_init__()
+        if not self.views or len(set(self.views)) < len(self.views):
+            raise ConfigError('views are one or more different names')
+        for name in self.views:
+            # Topics and parameters begin with it.
+            if not re.fullmatch(VIEW_NAME, str(name)):
+                raise ConfigError(f"'{name}' cannot be a view: letters, digits and _ make a name")
+            if name != VIEW and name in {*RESERVED, *(one.name for one in fields(self))}:
+                raise ConfigError(f"'{name}' cannot be a view: something else has that name")
+
+
+def view_parameters(name):
+    """Return the parameters of the view of a name: their names and Options of ViewConfig."""
+    return {f'{name}.{one.name}': replace(one, default=f'{name}_optical')
+            if one.name == 'frame_id' else one for one in options(ViewConfig)}
+
+
+# The node's parameters by name. The tracker's have no prefix, as on the command lines.
+NODE_PARAMETERS = {one.name.removeprefix('tracker.'): one for one in options(NodeConfig)}

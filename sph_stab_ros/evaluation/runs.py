@@ -1,0 +1,225 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Errors of estimated orientations against true ones.
+
+All are of orientations relative to the first frame evaluated. Roll, pitch and yaw are those of the
+camera's own REP 103 body (x forward along the image centre, y left, z up), not of the truth's,
+whose axes point anywhere on a motion-capture rigid body.
+"""
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.evaluation.alignment import (
+    align_trajectories, Alignment, check_overlap, EvaluationError, has_truth)
+from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabilizer
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
+from sph_stab_ros.geometry.trajectory import Trajectory
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.recording_loop import stabilize_recording
+from sph_stab_ros.tracking import TrackingStatus
+
+
+@dataclass(frozen=True)
+class Errors:
+    """
+    Errors of N orientations over time, each relative to the first.
+
+    ``time_s`` (N,) starts at zero; ``truth_rpy_deg`` and ``estimate_rpy_deg`` (N, 3) are roll,
+    pitch and yaw, without jumps; ``geodesic_deg`` (N,) is the angle of the rotation between truth
+    and estimate; ``per_frame_deg`` (≤ N − 1,) that between their turns from one frame to the next;
+    ``drift_deg_per_min`` the constant angular velocity that fits the error best.
+    """
+
+    time_s: np.ndarray
+    truth_rpy_deg: np.ndarray
+    estimate_rpy_deg: np.ndarray
+    geodesic_deg: np.ndarray
+    per_frame_deg: np.ndarray
+    drift_deg_per_min: float
+
+    @property
+    def absolute_rpy_deg(self):
+        """Absolute errors (N, 3) of roll, pitch and yaw."""
+        difference = self.estimate_rpy_deg - self.truth_rpy_deg
+        return np.abs((difference + 180) % 360 - 180)
+
+    def summary(self):
+        """Return the figures by name, in degrees, ready for JSON."""
+        roll, pitch, yaw = self.absolute_rpy_deg.mean(axis=0).tolist()
+        return {
+            'frames': len(self.time_s),
+            'mean_abs_error_deg': {'roll': roll, 'pitch': pitch, 'yaw': yaw},
+            'geodesic_deg': {
+                'mean': float(self.geodesic_deg.mean()),
+                'max': float(self.geodesic_deg.max()),
+                'end': float(self.geodesic_deg[-1])},
+            'per_frame_deg': {
+                'median': float(np.median(self.per_frame_deg)),
+                'p95': float(np.percentile(self.per_frame_deg, 95)),
+                'max': float(self.per_frame_deg.max())},
+            'drift_deg_per_min': self.drift_deg_per_min,
+        }
+
+    def over_time(self, period_s):
+        """Return the geodesic error at the frames nearest to each multiple of a period."""
+        # The frame that would close the last period need not be there.
+        end_s = self.time_s[-1] + np.median(np.diff(self.time_s))
+        wanted_s = period_s * np.arange(1, 1 + int(end_s / period_s + 1e-6))
+        after = np.clip(np.searchsorted(self.time_s, wanted_s), 1, len(self.time_s) - 1)
+        before_is_nearer = 2 * wanted_s < self.time_s[after - 1] + self.time_s[after]
+        nearest = after - before_is_nearer
+        return {'time_s': self.time_s[nearest].tolist(),
+                'geodesic_deg': self.geodesic_deg[nearest].tolist()}
+
+
+def compare(truth, estimate, alignment):
+    """
+    Return the Errors of the Trajectory ``estimate`` against ``truth`` at the estimate's stamps.
+
+    Frames without truth (outside of it, or in its gaps) are left out; EvaluationError if fewer
+    than MIN_FRAMES remain.
+    """
+    stamps_ns = estimate.stamps_ns + alignment.clock_offset_ns
+    check_overlap(truth, stamps_ns)
+    known = has_truth(truth, stamps_ns)
+    R_mocap_camera = truth.at(stamps_ns[known]) * alignment.R_body_camera
+    consecutive = np.diff(np.flatnonzero(known)) == 1
+    if not consecutive.any():
+        raise EvaluationError('no two consecutive frames have truth')
+    return errors(stamps_ns[known], R_mocap_camera, estimate.rotations[known], consecutive)
+
+
+def errors(stamps_ns, R_mocap_camera, R_world_camera, consecutive=slice(None)):
+    """
+    Return the Errors of N orientations of the camera, true and estimated, in any two worlds.
+
+    ``consecutive`` (N − 1,) bool tells which neighbours are consecutive frames.
+    """
+    time_s = (stamps_ns - stamps_ns[0]) / NS_PER_S
+    true, estimated = (
+        R_BODY_CAMERA * (R[0].inv() * R) * R_BODY_CAMERA.inv()
+        for R in (R_mocap_camera, R_world_camera))
+    error = (estimated * true.inv()).as_rotvec(degrees=True)
+    true_turns, estimated_turns = (R[:-1].inv() * R[1:] for R in (true, estimated))
+    per_frame_rad = (true_turns.inv() * estimated_turns).magnitude()[consecutive]
+    return Errors(
+        time_s, _roll_pitch_yaw_deg(true), _roll_pitch_yaw_deg(estimated),
+        np.linalg.norm(error, axis=1), np.rad2deg(per_frame_rad),
+        # Least squares of error(t) = drift · t, in the world, where a bias of the estimator adds
+        # up.
+        float(np.linalg.norm(time_s @ error) / (time_s @ time_s) * 60))
+
+
+def _roll_pitch_yaw_deg(R_first_body):
+    """Return (N, 3) degrees of ``R = R_z(yaw) R_y(pitch) R_x(roll)``, without jumps of 360°."""
+    return np.unwrap(R_first_body.as_euler('ZYX', degrees=True)[:, ::-1], axis=0, period=360)
+
+
+class Run:
+    """A Stabilizer that keeps the orientations it finds, and how long each took."""
+
+    def __init__(self, config):
+        self._stabilizer = Stabilizer(config)
+        self._stamps_ns, self._rotations, self._times_s = [], [], []
+        self._lost = 0
+
+    def process(self, frame):
+        """Return the StabilizedFrame of a Frame."""
+        start_s = perf_counter()
+        stabilized = self._stabilizer.process(frame)
+        self._times_s.append(perf_counter() - start_s)
+        self._stamps_ns.append(stabilized.stamp_ns)
+        self._rotations.append(stabilized.R_world_camera)
+        self._lost += stabilized.status is not TrackingStatus.OK
+        return stabilized
+
+    def trajectory(self):
+        """Return the Trajectory found; frames whose stamps go back are left out."""
+        return increasing(self._stamps_ns, Rotation.concatenate(self._rotations))
+
+    def true_trajectory(self, rotations):
+        """Return the Trajectory of other orientations of the same frames."""
+        return increasing(self._stamps_ns, rotations)
+
+    def summary(self, errors):
+        """
+        Return the figures of the run and its Errors.
+
+        Predicted and held frames count as lost; not evaluated are those without truth and those
+        whose stamps go back.
+        """
+        return errors.summary() | {
+            'ms_per_frame': 1000 * float(np.mean(self._times_s)),
+            'lost_frames': self._lost,
+            'frames_not_evaluated': len(self._times_s) - len(errors.time_s)}
+
+
+def evaluate_against_truth(recording, configs, truth, R_body_camera=None, clock_offset_ns=0,
+                           max_frames=None, progress=lambda name, frames: frames):
+    """
+    Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
+
+    Mount and clock offset, where they are None, are those that the estimator gives which follows
+    the truth best: they belong to the recording, and a bad estimator must neither suffer from nor
+    profit by its own. Returns the Alignment, and by name Errors and summaries of figures.
+    """
+    runs = {}
+    for name, config in configs.items():
+        runs[name] = Run(config)
+        stabilize_recording(recording, runs[name], max_frames=max_frames,
+                            progress=lambda frames: progress(name, frames))
+    found, failures = [], []
+    for run in runs.values():
+        try:
+            found.append(align_trajectories(
+                truth, run.trajectory(), R_body_camera, clock_offset_ns))
+        except EvaluationError as error:
+            failures.append(error)
+    if not found:
+        raise failures[0]
+    alignment = min(found, key=lambda one: one.residual_rad)
+    errors = {name: compare(truth, run.trajectory(), alignment) for name, run in runs.items()}
+    return alignment, errors, {name: run.summary(errors[name]) for name, run in runs.items()}
+
+
+def evaluate_injected(recording, configs, seed, frames, body='',
+                      progress=lambda name, frames: frames):
+    """
+    Evaluate StabilizerConfigs, by name, on so many frames turned by the rotations of a seed.
+
+    The ``body`` (as ``load_mask`` takes it) stays where it is.
+
+    Returns by name Errors and summaries of figures, to which ``clip_turn_deg`` is added: the
+    largest angle from the first frame in the clip as it is.
+    """
+    errors, figures = {}, {}
+    for name, config in configs.items():
+        shaken = Run(config)
+        both = ShakenStabilizer(
+            Stabilizer(config), shaken, injected_rotations(seed, frames), body)
+        stabilize_recording(recording, both, max_frames=frames,
+                            progress=lambda frames: progress(name, frames))
+        errors[name] = compare(shaken.true_trajectory(both.true_rotations()), shaken.trajectory(),
+                               Alignment(Rotation.identity()))
+        figures[name] = shaken.summary(errors[name]) | {
+            'clip_turn_deg': float(np.rad2deg(both.clip_rotations().magnitude().max()))}
+    return errors, figures
+
+
+def increasing(stamps_ns, rotations):
+    """Return the Trajectory of those of N orientations that are later than all before."""
+    stamps_ns = np.asarray(stamps_ns, np.int64)
+    latest_ns = np.maximum.accumulate(stamps_ns)
+    later = np.append(True, stamps_ns[1:] > latest_ns[:-1])
+    return Trajectory(stamps_ns[later], rotations[later])

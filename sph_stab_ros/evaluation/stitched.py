@@ -1,0 +1,62 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A recording of two fisheye circles as one of spheres, for whatever needs spheres."""
+
+from collections import Counter
+from dataclasses import replace
+
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.projection import Equirect
+from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionError
+from sph_stab_ros.geometry.warp import equirect_warp
+from sph_stab_ros.recording.base import SkipLog
+
+
+class Stitched:
+    """
+    A Recording whose frames are equirectangular, if they were not already.
+
+    Parameters
+    ----------
+    recording : Recording
+    config : StabilizerConfig
+        What its pictures are.
+
+    """
+
+    def __init__(self, recording, config):
+        self._recording = recording
+        self._config = config
+        self._skip_log = SkipLog(recording.name)
+        self.name = recording.name
+        self.topics = recording.topics
+        self.image_topic = recording.image_topic
+        self.frame_count = recording.frame_count
+        self.messages = recording.messages
+
+    @property
+    def skipped(self):
+        """Count the pictures left out so far, by reason."""
+        return Counter(self._recording.skipped) + self._skip_log.counts
+
+    def frames(self):
+        """Yield the Frames as spheres, not turned; those of another size are left out."""
+        self._skip_log = SkipLog(self.name)
+        for frame in self._recording.frames():
+            try:
+                projection = projection_of(frame.size_wh, self._config)
+            except ProjectionError as error:
+                self._skip_log.add(error.reason, error)
+                continue
+            if isinstance(projection, Equirect):
+                yield frame
+                continue
+            warp = equirect_warp(projection.sphere_width)
+            yield replace(frame, image=warp(frame.image, Rotation.identity(), projection))

@@ -1,0 +1,71 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Which pixels to use: a robot sees its own body, which does not turn against the camera."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sph_stab_ros.geometry.equirect import is_equirect, row_solid_angles
+
+LATITUDE_PREFIX = 'lat:'
+
+
+class MaskError(ValueError):
+    """A mask that cannot be read; the message is one line for the user."""
+
+
+def load_mask(spec, width):
+    """
+    Return the pixels to use (W/2, W) bool that ``spec`` describes, or None for all.
+
+    ``spec`` is empty (all), the path of a 2:1 image whose white pixels are used, or
+    ``lat:FROM,TO``, a band of latitudes in degrees that is *not* used.
+    """
+    if not spec:
+        return None
+    if spec.startswith(LATITUDE_PREFIX):
+        used = _outside_latitudes(spec, width)
+    else:
+        # OpenCV says more than one line about a file that is not there.
+        image = cv2.imread(spec, cv2.IMREAD_GRAYSCALE) if Path(spec).is_file() else None
+        if image is None:
+            raise MaskError(f"mask '{spec}' cannot be read as an image")
+        if not is_equirect(image.shape):
+            raise MaskError(f"mask '{spec}' is {image.shape[1]}x{image.shape[0]}, not 2:1")
+        used = cv2.resize(image, (width, width // 2), interpolation=cv2.INTER_AREA) > 127
+    if not used.any():
+        raise MaskError(f"mask '{spec}' leaves no pixel to use")
+    return used
+
+
+def share_of_sphere(pixels):
+    """Return the share of the whole solid angle that pixels (H, W) bool cover."""
+    width = pixels.shape[1]
+    return float(pixels.sum(axis=1) @ row_solid_angles(width) / (4 * np.pi))
+
+
+def antipodal(used):
+    """Return the pixels (H, W) of a mask whose antipodes belong to it too; None stays None."""
+    if used is None:
+        return None
+    return used & np.roll(used[::-1], used.shape[1] // 2, axis=1)
+
+
+def _outside_latitudes(spec, width):
+    try:
+        low_deg, high_deg = map(float, spec[len(LATITUDE_PREFIX):].split(','))
+    except ValueError:
+        raise MaskError(f"mask '{spec}' is not of the form lat:FROM,TO (degrees)") from None
+    if not -90 <= low_deg < high_deg <= 90:
+        raise MaskError(f"mask '{spec}' needs -90 <= FROM < TO <= 90")
+    lat_deg = 90 - (np.arange(width // 2) + 0.5) * (360 / width)
+    used_rows = (lat_deg < low_deg) | (lat_deg > high_deg)
+    return np.repeat(used_rows[:, None], width, axis=1)

@@ -1,0 +1,134 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What an inertial measurement unit says: samples of it, and the turns that its gyro saw."""
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
+
+# Over a longer silence of the gyro nothing is known.
+MAX_GAP_NS = NS_PER_S // 10
+# Stamps that go back further are those of a new start; others are late and left out.
+NEW_START_NS = NS_PER_S // 10
+HISTORY_NS = 2 * NS_PER_S
+
+
+class ImuError(ValueError):
+    """A sample that cannot be used, with the reason in one line for the user."""
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """
+    A sample in the IMU's frame; ImuError where it is none.
+
+    ``specific_force_m_s2`` (3,) is what an accelerometer shows, 9.8 m/s² upwards at rest;
+    ``angular_velocity_rad_s`` (3,). Either is None where the IMU does not measure it.
+    """
+
+    stamp_ns: int
+    specific_force_m_s2: np.ndarray | None = None
+    angular_velocity_rad_s: np.ndarray | None = None
+
+    def __post_init__(self):
+        """Make arrays of what is given, and check them."""
+        for name, title in (('specific_force_m_s2', 'specific force'),
+                            ('angular_velocity_rad_s', 'angular velocity')):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            value = np.array(value, float)
+            if value.shape != (3,) or not np.isfinite(value).all():
+                raise ImuError(f'the {title} is {value.tolist()}, not three finite numbers')
+            object.__setattr__(self, name, value)
+        # What drivers send that do not measure it.
+        if self.specific_force_m_s2 is not None and not self.specific_force_m_s2.any():
+            raise ImuError('the specific force is zero')
+
+
+def mount_rotation(roll_rad, pitch_rad, yaw_rad):
+    """
+    Return ``R_camera_imu`` from roll, pitch and yaw as a URDF states them.
+
+    They turn the IMU, in this order, about the fixed axes x forward, y left and z up of the body
+    at the camera; at zero the IMU's axes are these.
+    """
+    return R_CAMERA_BODY * Rotation.from_euler('xyz', (roll_rad, pitch_rad, yaw_rad))
+
+
+class ImuHistory:
+    """The last two seconds of an IMU, in the camera's axes."""
+
+    def __init__(self):
+        # (stamp_ns, specific force)
+        self._forces = deque()
+        # (stamp_ns, angular velocity, R_reckoned_camera: the turns so far)
+        self._turns = deque()
+
+    def clear(self):
+        """Forget everything: the IMU sits otherwise from now on, or its clock was set back."""
+        self._forces.clear()
+        self._turns.clear()
+
+    def add(self, sample, R_camera_imu):
+        """Take in an ImuSample; one that comes late is left out."""
+        stamp_ns = sample.stamp_ns
+        if sample.specific_force_m_s2 is not None and _is_next(self._forces, stamp_ns):
+            self._forces.append((stamp_ns, R_camera_imu.apply(sample.specific_force_m_s2)))
+        if sample.angular_velocity_rad_s is not None and _is_next(self._turns, stamp_ns):
+            self._add_turn(stamp_ns, R_camera_imu.apply(sample.angular_velocity_rad_s))
+
+    def forces(self, after_ns, until_ns):
+        """Return stamps (N,) in (after, until] and specific force (N, 3) in m/s² at each."""
+        chosen = [one for one in self._forces if after_ns < one[0] <= until_ns]
+        return (np.array([stamp_ns for stamp_ns, _ in chosen], np.int64),
+                np.array([force for _, force in chosen]).reshape(-1, 3))
+
+    def gyro_rotation(self, from_ns, to_ns):
+        """Return the camera's turn ``R_from_to``, or None where the gyro does not cover it."""
+        if not self._turns or not (
+                self._turns[0][0] <= min(from_ns, to_ns)
+                and max(from_ns, to_ns) <= self._turns[-1][0] + MAX_GAP_NS):
+            return None
+        return self._reckoned(from_ns).inv() * self._reckoned(to_ns)
+
+    def _add_turn(self, stamp_ns, rate_rad_s):
+        if self._turns and stamp_ns - self._turns[-1][0] > MAX_GAP_NS:
+            self._turns.clear()
+        R_reckoned_camera = Rotation.identity()
+        if self._turns:
+            last_ns, last_rad_s, R_reckoned_last = self._turns[-1]
+            R_reckoned_camera = R_reckoned_last * _turn((last_rad_s + rate_rad_s) / 2,
+                                                        stamp_ns - last_ns)
+        self._turns.append((stamp_ns, rate_rad_s, R_reckoned_camera))
+
+    def _reckoned(self, stamp_ns):
+        """Return R_reckoned_camera at a time; beyond the last sample its rate goes on."""
+        i = bisect_right(self._turns, stamp_ns, key=lambda one: one[0]) - 1
+        (before_ns, rate_rad_s, R_reckoned_before) = self._turns[i]
+        next_rad_s = self._turns[min(i + 1, len(self._turns) - 1)][1]
+        return R_reckoned_before * _turn((rate_rad_s + next_rad_s) / 2, stamp_ns - before_ns)
+
+
+def _is_next(samples, stamp_ns):
+    """Make room for a sample, and tell whether it is not late."""
+    if samples and stamp_ns < samples[-1][0] - NEW_START_NS:
+        samples.clear()
+    while samples and samples[0][0] < stamp_ns - HISTORY_NS:
+        samples.popleft()
+    return not samples or stamp_ns > samples[-1][0]
+
+
+def _turn(rate_rad_s, elapsed_ns):
+    return Rotation.from_rotvec(rate_rad_s * (elapsed_ns / NS_PER_S))

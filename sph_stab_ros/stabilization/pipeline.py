@@ -1,0 +1,243 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The whole algorithm: track the camera's orientation, take it out of the picture."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.config import IMU, StabilizerConfig
+from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.projection import Projection
+from sph_stab_ros.geometry.projection_factory import projection_of
+from sph_stab_ros.geometry.rotations import rotate_covariance
+from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.stabilization.imu import ImuHistory, mount_rotation
+from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError
+from sph_stab_ros.stabilization.smoothing import Smoother
+from sph_stab_ros.tracking import make_tracker, TrackingStatus, working_width
+
+# Without a frame for so long, motion in between is guesswork.
+LONG_GAP_S = 1.0
+# Two seconds of a fast IMU.
+IMU_INBOX_SIZE = 2000
+
+
+class StabilizationEvent(Enum):
+    """Something about a frame that its user should hear of; the frame was used all the same."""
+
+    RESIZED = 'the image size changed; tracking starts anew from the last orientation'
+    STAMP_NOT_INCREASING = 'the stamp is not later than the one before'
+    GAP = f'no frame for more than {LONG_GAP_S:g} s'
+    NO_GRAVITY = f'no usable force from the IMU for more than {LONG_GAP_S:g} s to level by'
+
+
+@dataclass(frozen=True)
+class StabilizedFrame:
+    """
+    A frame with its orientation; pictures are computed when they are asked for.
+
+    They are those of the virtual camera, of orientation ``R_world_virtual``.
+    """
+
+    frame: Frame
+    R_world_camera: Rotation
+    status: TrackingStatus
+    events: tuple[StabilizationEvent, ...] = ()
+    # As TrackedOrientation's.
+    covariance: np.ndarray | None = None
+    R_world_virtual: Rotation = field(default_factory=Rotation.identity)
+    # Of the frame's image; None where it is equirectangular.
+    projection: Projection | None = None
+
+    @property
+    def stamp_ns(self):
+        """Stamp of the input frame in nanoseconds."""
+        return self.frame.stamp_ns
+
+    @property
+    def uncertainty_rad(self):
+        """One standard deviation about the least certain axis; None where it is not known."""
+        if self.covariance is None:
+            return None
+        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[-1], 0)))
+
+    @property
+    def R_camera_virtual(self):
+        """Return what turns the virtual camera's bearings into the camera's."""
+        return self.R_world_camera.inv() * self.R_world_virtual
+
+    def sphere(self):
+        """Return the virtual camera's equirectangular image, as fine as the input."""
+        return self.seen_along(self.R_camera_virtual)
+
+    def view(self, R_virtual_view, hfov_rad, size_wh):
+        """Return a perspective image (h, w[, C]) along a direction of the virtual camera's."""
+        return self.seen_along(self.R_camera_virtual * R_virtual_view, hfov_rad, size_wh)
+
+    def seen_along(self, R_camera_target, hfov_rad=None, size_wh=None):
+        """Return what a camera turned against this one sees: the sphere, or a perspective view."""
+        image = self.frame.image
+        if hfov_rad is None:
+            width = self.projection.sphere_width if self.projection else image.shape[1]
+            warp = equirect_warp(width)
+        else:
+            warp = perspective_warp(float(hfov_rad), *size_wh)
+        return warp(image, R_camera_target, self.projection)
+
+
+class Stabilizer:
+    """Takes the camera's rotation out of a stream of frames."""
+
+    def __init__(self, config=StabilizerConfig()):
+        # Filled by add_imu, in another thread maybe, and emptied by process.
+        self._imu_inbox = deque(maxlen=IMU_INBOX_SIZE)
+        self._imu = ImuHistory()
+        self._gravity = Gravity()
+        self._leveler = Leveler()
+        self._smoother = Smoother()
+        self.config = config
+        self.reset()
+
+    @property
+    def tracker(self):
+        """Return the Tracker at work; None before the first frame."""
+        return self._tracker
+
+    def reset(self):
+        """Make the next frame's orientation the world's."""
+        self._tracker = None
+        self._last = None
+        # The tracker's orientations count from the origin, the world is that made level.
+        self._R_origin_start = Rotation.identity()
+        self._R_origin_camera = Rotation.identity()
+        self._gravity.reset()
+        self._leveler.reset()
+        self._smoother.reset()
+        # Of the start and of the last frame; None where it is not known.
+        self._start_covariance = self._covariance = np.zeros((3, 3))
+
+    def reconfigure(self, config):
+        """
+        Take on another config.
+
+        A tracker that changes by it starts anew at the last frame, in the orientation reached.
+        """
+        if config.tracker != self.config.tracker:
+            self._tracker = None
+        if (config.projection, config.fisheye) != (self.config.projection, self.config.fisheye):
+            self._tracker = self._last = None
+        if config.imu != self.config.imu:
+            self._imu.clear()
+        if (config.imu, config.level) != (self.config.imu, self.config.level):
+            self._gravity.reset()
+        self.config = config
+
+    def add_imu(self, sample):
+        """Take in an ImuSample; may be called from any thread while frames are processed."""
+        self._imu_inbox.append(sample)
+
+    def forget_imu(self):
+        """Forget what was felt so far, because the clock was set back."""
+        self._imu.clear()
+
+    def level_here(self):
+        """
+        Make the present orientation level, keeping its heading, or raise LevelError.
+
+        May be called from any thread while frames are processed.
+        """
+        if self.config.level == IMU:
+            raise LevelError('the IMU says what is level')
+        self._leveler.level_here()
+
+    def process(self, frame):
+        """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
+        self._projection = projection_of(frame.size_wh, self.config)
+        events = tuple(self._events(frame))
+        if self._tracker is None or StabilizationEvent.RESIZED in events:
+            self._start(frame)
+        self._take_in_imu()
+        tracked = self._track(frame)
+        self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
+        self._covariance = self._in_origin(tracked.covariance)
+        R_world_origin = self._level(frame.stamp_ns)
+        R_world_camera = R_world_origin * self._R_origin_camera
+        covariance = (None if self._covariance is None
+                      else rotate_covariance(self._covariance, R_world_origin))
+        R_world_virtual = self._smoother.update(
+            self.config.smoothing, frame.stamp_ns, R_world_camera)
+        self._last = frame
+        return StabilizedFrame(
+            frame, R_world_camera, tracked.status, events,
+            covariance, R_world_virtual, self._projection)
+
+    def settle(self):
+        """Do what the last frame did not have to wait for; the next one will do it otherwise."""
+        if self._tracker is not None:
+            self._tracker.settle()
+
+    def _events(self, frame):
+        if self._last is None:
+            return
+        if frame.size_wh != self._last.size_wh:
+            yield StabilizationEvent.RESIZED
+        elapsed_s = (frame.stamp_ns - self._last.stamp_ns) / NS_PER_S
+        if elapsed_s <= 0:
+            yield StabilizationEvent.STAMP_NOT_INCREASING
+        elif elapsed_s > LONG_GAP_S:
+            yield StabilizationEvent.GAP
+        if self.config.level == IMU and self._gravity.age_s(frame.stamp_ns) > LONG_GAP_S:
+            yield StabilizationEvent.NO_GRAVITY
+
+    def _start(self, frame):
+        """Start a tracker for frames of this size, in the orientation and place reached so far."""
+        self._working_width = min(
+            working_width(self.config.tracker), self._projection.sphere_width)
+        self._tracker = make_tracker(
+            self.config.tracker, self._working_width, self._imu.gyro_rotation)
+        self._R_origin_start = self._R_origin_camera
+        self._start_covariance = self._covariance
+        if self._last is not None and self._last.size_wh == frame.size_wh:
+            self._track(self._last)
+
+    def _in_origin(self, covariance):
+        """Return a covariance (3, 3) of the tracker's with that of its start added."""
+        if covariance is None or self._start_covariance is None:
+            return None
+        return self._start_covariance + rotate_covariance(covariance, self._R_origin_start)
+
+    def _take_in_imu(self):
+        if not self._imu_inbox:
+            return
+        imu = self.config.imu
+        R_camera_imu = mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg)))
+        while self._imu_inbox:
+            self._imu.add(self._imu_inbox.popleft(), R_camera_imu)
+
+    def _level(self, stamp_ns):
+        """Return R_world_origin."""
+        up = None
+        if self.config.level == IMU:
+            self._gravity.weigh(stamp_ns, self._R_origin_camera, self._imu)
+            up = self._gravity.up
+        return self._leveler.update(stamp_ns, self._R_origin_camera, up)
+
+    def _track(self, frame):
+        grey = self._projection.grey_sphere(frame, self._working_width)
+        return self._tracker.track(grey, frame.stamp_ns)
+
+
+def view_direction(view):
+    """Return R_virtual_view of a ViewConfig."""
+    return view_rotation(*np.deg2rad((view.yaw_deg, view.pitch_deg, view.roll_deg)))

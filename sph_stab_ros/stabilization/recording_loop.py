@@ -1,0 +1,90 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Stabilise a recording picture by picture; what is made of each is up to sinks."""
+
+from collections import Counter
+from contextlib import closing
+from dataclasses import dataclass, field
+from itertools import islice
+import logging
+
+from sph_stab_ros.geometry.projection_factory import ProjectionError
+from sph_stab_ros.recording import RecordingError
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass
+class Summary:
+    """What happened on the way through a recording."""
+
+    frames: int = 0
+    statuses: Counter = field(default_factory=Counter)
+    events: Counter = field(default_factory=Counter)
+    left_out: Counter = field(default_factory=Counter)
+    turned_rad: float = 0.
+    R_world_camera: object = None
+
+    def add(self, stabilized):
+        """Count a StabilizedFrame; name the first event of each kind in the log."""
+        self.frames += 1
+        self.statuses[stabilized.status.value] += 1
+        for event in stabilized.events:
+            self.events[event.value] += 1
+            if self.events[event.value] == 1:
+                logger.warning('picture %d at %.3f s: %s (more of these are only counted)',
+                               self.frames, stabilized.stamp_ns / 1e9, event.value)
+        if self.R_world_camera is not None:
+            self.turned_rad += (self.R_world_camera.inv() * stabilized.R_world_camera).magnitude()
+        self.R_world_camera = stabilized.R_world_camera
+
+
+def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progress=iter):
+    """
+    Stabilise a Recording frame by frame and return the Summary.
+
+    Parameters
+    ----------
+    recording : Recording
+        Its frames are read to the end or to ``max_frames``.
+    stabilizer : Stabilizer
+        Fresh, or in the orientation to go on from.
+    sinks : iterable of callable
+        Each is called with each StabilizedFrame.
+    max_frames : int, optional
+        How many pictures to read; all by default.
+    progress : callable
+        Passes on the iterator of frames that it is given, and may tell of it.
+
+    Raises
+    ------
+    RecordingError
+        Where not one picture can be used.
+
+    """
+    summary = Summary()
+    with closing(recording.frames()) as frames:
+        for frame in progress(islice(frames, max_frames)):
+            try:
+                stabilized = stabilizer.process(frame)
+            except ProjectionError as error:
+                summary.left_out[error.reason] += 1
+                if summary.left_out[error.reason] == 1:
+                    logger.warning('%s: picture left out, %s (more of these are only counted)',
+                                   recording.name, error)
+                continue
+            summary.add(stabilized)
+            for sink in sinks:
+                sink(stabilized)
+    summary.left_out += recording.skipped
+    if not summary.frames:
+        reasons = ', '.join(f'{reason}: {n}' for reason, n in summary.left_out.items())
+        raise RecordingError(
+            f'{recording.name} has no usable picture ({reasons or "none at all"})')
+    return summary

@@ -1,0 +1,227 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Bundle adjustment: rotations and positions of keyframes and inverse depths of points, together.
+
+A point belongs to the keyframe h in which its texture was taken: there its bearing x is exact by
+definition, and its inverse depth ρ counts from there. Keyframe k sees it along
+``R_kᵀ (R_h x − ρ (p_k − p_h))``, with R = R_world_camera.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros import kernels
+from sph_stab_ros.tracking.anchored.pose_estimation import (
+    CAUCHY, cauchy_weights, MAX_INVERSE_DEPTH, MEDIAN_2D)
+
+ITERATIONS = 4
+STEP_TOLERANCE = 1e-5
+MIN_SCALE, MAX_SCALE = 0.5, 1.5
+# Levenberg–Marquardt: relative to the diagonal.
+FIRST_DAMPING, DAMPED, MAX_DAMPING = 1e-4, 1e-3, 1e3
+DAMPING_FACTOR = 10
+# Of the fixed length that sets the unit, per unit.
+GAUGE_INFORMATION = 1e8
+
+
+@dataclass(frozen=True)
+class Window:
+    """
+    K keyframes, P points and M observations of points in keyframes.
+
+    ``R`` (K, 3, 3) and ``p`` (K, 3) are the keyframes' poses, ``free`` (K,) bool tells which to
+    adjust. ``host`` (P,) is the keyframe of each point, ``x`` (P, 3) its bearing in the host's
+    camera, ``inverse_depths`` and ``information`` (P,) ρ0 and its inverse variance. ``keyframe``
+    and ``point`` (M,) tell what was seen where, ``y`` (M, 3) along which bearing in the
+    keyframe's camera, ``sqrt_information`` (M, 2, 3) with what certainty, as for a pose.
+    """
+
+    R: np.ndarray
+    p: np.ndarray
+    free: np.ndarray
+    host: np.ndarray
+    x: np.ndarray
+    inverse_depths: np.ndarray
+    information: np.ndarray
+    keyframe: np.ndarray
+    point: np.ndarray
+    y: np.ndarray
+    sqrt_information: np.ndarray
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """
+    The Window's R, p and inverse depths after adjustment.
+
+    ``information`` (P,) of the inverse depths, ``weights`` (M,) ≤ 1 the trust in each observation,
+    ``covariance`` (6F, 6F) that of the F free keyframes' rotation vectors, in the world, and
+    positions, as far as the fixed ones are exact.
+    """
+
+    R: np.ndarray
+    p: np.ndarray
+    inverse_depths: np.ndarray
+    information: np.ndarray
+    weights: np.ndarray
+    covariance: np.ndarray
+
+
+def adjust(window, keep_distance=False):
+    """
+    Return the Adjusted window: robust least squares by Levenberg–Marquardt.
+
+    With ``keep_distance`` the last keyframe stays as far from the origin as it is: the unit of
+    length, where nothing else sets it.
+    """
+    distance = np.linalg.norm(window.p[-1])
+    kept_along = window.p[-1] / distance if keep_distance and distance > 0 else None
+    R, p, rho = window.R, window.p, window.inverse_depths
+    damping = FIRST_DAMPING
+    sizes = residual_lengths(window, R, p, rho)
+    for _ in range(ITERATIONS):
+        equations = normal_equations(window, R, p, rho, sizes, kept_along)
+        cost = _cost(window, rho, sizes, equations.scale)
+        while True:
+            step, R_new, p_new, rho_new = _step(window, equations, damping, R, p, rho)
+            sizes_new = residual_lengths(window, R_new, p_new, rho_new)
+            better = _cost(window, rho_new, sizes_new, equations.scale) <= cost
+            if better or damping > MAX_DAMPING:
+                break
+            damping = max(damping, DAMPED) * DAMPING_FACTOR
+        if not better:
+            break
+        R, p, rho, sizes = R_new, p_new, rho_new, sizes_new
+        damping /= DAMPING_FACTOR
+        if np.abs(step).max() < STEP_TOLERANCE:
+            break
+    return Adjusted(R, p, rho, equations.H_rr, equations.weights,
+                    np.linalg.inv(equations.reduced(0.)))
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations: keyframes' H and g, points' H_rr and g_r, and H_rp between them."""
+
+    H: np.ndarray
+    g: np.ndarray
+    H_rp: np.ndarray
+    H_rr: np.ndarray
+    g_r: np.ndarray
+    weights: np.ndarray
+    scale: float
+
+    def reduced(self, damping):
+        """Return the matrix of the keyframes alone (Schur complement), damped."""
+        S = self.H - (self.H_rp / (self.H_rr * (1 + damping))[:, None]).T @ self.H_rp
+        S[np.diag_indices_from(S)] += damping * np.diag(self.H) + 1e-9
+        return S
+
+
+def residual_lengths(window, R, p, rho):
+    """Return the lengths (M,) of the residuals ``W (b − y)``."""
+    host = window.host[window.point]
+    if kernels.library is not None:
+        r = np.empty((len(host), 2))
+        kernels.library.bundle_residuals(
+            len(host), window.keyframe, host, window.point, R, p, window.x, rho, window.y,
+            window.sqrt_information, r)
+    else:
+        _, _, z = _rays(window, R, p, rho, host)
+        b = np.einsum('mij,mi->mj', R[window.keyframe], z)
+        b /= np.sqrt(np.einsum('mi,mi->m', z, z))[:, None]
+        r = np.einsum('mki,mi->mk', window.sqrt_information, b - window.y)
+    return np.sqrt(np.einsum('mk,mk->m', r, r))
+
+
+def normal_equations(window, R, p, rho, sizes, kept_along=None):
+    """
+    Return the Equations of residuals of such sizes (M,), weighted by them.
+
+    ``W db = M dz`` with ``dz = ω_h × x − ω_k × z − ρ (dp_k − dp_h) − q dρ``, all in the world. The
+    last keyframe does not move along the unit vector ``kept_along`` (3,), if given.
+    """
+    scale = np.clip(np.median(sizes) / MEDIAN_2D, MIN_SCALE, MAX_SCALE)
+    weights = cauchy_weights(sizes, scale)
+    accumulate = _accumulate if kernels.library is None else _accumulate_compiled
+    H, g, H_rp, H_rr, g_r = accumulate(window, R, p, rho, weights / scale ** 2)
+    if kept_along is not None:
+        H[-3:, -3:] += GAUGE_INFORMATION * np.outer(kept_along, kept_along)
+    return Equations(H, g, H_rp, window.information + H_rr,
+                     g_r + window.information * (rho - window.inverse_depths), weights, scale)
+
+
+def _accumulate_compiled(window, R, p, rho, w):
+    columns, points = 6 * window.free.sum(), len(window.x)
+    H, g, H_rp = np.zeros((columns, columns)), np.zeros(columns), np.zeros((points, columns))
+    H_rr, g_r = np.zeros(points), np.zeros(points)
+    kernels.library.bundle_equations(
+        len(window.point), columns, window.keyframe, window.host[window.point], window.point,
+        np.where(window.free, np.cumsum(window.free) - 1, -1), R, p, window.x, rho, window.y,
+        window.sqrt_information, w, H, g, H_rp, H_rr, g_r)
+    return H, g, H_rp, H_rr, g_r
+
+
+def _accumulate(window, R, p, rho, w):
+    host = window.host[window.point]
+    x, q, z = _rays(window, R, p, rho, host)
+    A = window.sqrt_information @ np.swapaxes(R[window.keyframe], 1, 2)
+    length = np.sqrt(np.einsum('mi,mi->m', z, z))[:, None]
+    b = z / length
+    along_b = np.einsum('mki,mi->mk', A, b)
+    M = (A - along_b[..., None] * b[:, None]) / length[..., None]
+    r = along_b - np.einsum('mki,mi->mk', window.sqrt_information, window.y)
+    J_rho = -np.einsum('mki,mi->mk', M, q)
+    along = rho[window.point, None, None] * M
+    # Fixed keyframes go to a last place, which is thrown away.
+    count = window.free.sum()
+    slots = np.where(window.free, np.cumsum(window.free) - 1, count)
+    J = np.zeros((len(M), 2, count + 1, 6))
+    each = np.arange(len(M))
+    J[each, :, slots[window.keyframe], :3] -= np.cross(z[:, None], M)
+    J[each, :, slots[window.keyframe], 3:] -= along
+    J[each, :, slots[host], :3] += np.cross(x[:, None], M)
+    J[each, :, slots[host], 3:] += along
+    J = J[:, :, :-1].reshape(len(M), 2, -1)
+
+    flat = (w[:, None, None] * J).reshape(2 * len(M), -1).T
+    by_point = sparse.csr_matrix((w, (window.point, each)), shape=(len(window.x), len(M)))
+    return (flat @ J.reshape(2 * len(M), -1), flat @ r.ravel(),
+            by_point @ np.einsum('mkn,mk->mn', J, J_rho),
+            by_point @ np.einsum('mk,mk->m', J_rho, J_rho),
+            by_point @ np.einsum('mk,mk->m', J_rho, r))
+
+
+def _rays(window, R, p, rho, host):
+    """Return bearings x, offsets q and what is seen, ``z = x − ρ q``, (M, 3) in the world."""
+    x = np.einsum('mij,mj->mi', R[host], window.x[window.point])
+    q = p[window.keyframe] - p[host]
+    return x, q, x - rho[window.point, None] * q
+
+
+def _cost(window, rho, sizes, scale):
+    width = CAUCHY * scale
+    return ((CAUCHY ** 2 * np.log1p((sizes / width) ** 2)).sum()
+            + window.information @ (rho - window.inverse_depths) ** 2)
+
+
+def _step(window, equations, damping, R, p, rho):
+    H_rr = equations.H_rr * (1 + damping)
+    step = -np.linalg.solve(equations.reduced(damping),
+                            equations.g - equations.H_rp.T @ (equations.g_r / H_rr))
+    rho = np.clip(rho - (equations.g_r + equations.H_rp @ step) / H_rr, 0., MAX_INVERSE_DEPTH)
+    turns, moves = np.split(step.reshape(-1, 6), 2, axis=1)
+    R, p, free = R.copy(), p.copy(), window.free
+    R[free] = Rotation.from_rotvec(turns).as_matrix() @ R[free]
+    p[free] += moves
+    return step, R, p, rho

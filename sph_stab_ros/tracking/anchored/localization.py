@@ -1,0 +1,151 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Where a camera is, by the landmarks that it sees."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sph_stab_ros.geometry.rotations import cross
+from sph_stab_ros.tracking.anchored.landmark_map import inlier_mask, Observations
+from sph_stab_ros.tracking.anchored.patches import LEVELS, MAX_LATITUDE_RAD
+from sph_stab_ros.tracking.anchored.pose_estimation import (
+    fit_depths, fit_pose, fit_pose_among_movers, Points, PoseEstimate)
+
+MIN_POINTS = 20
+# A landmark has a say in the pose once it has agreed with the others for so many frames: who walks
+# by, or carries the camera, does not for long. Where hardly any has, all have.
+MATURE_FRAMES = 8
+MIN_MATURE = 40
+# Patches are found where they look the same, the search has settled, and not too far away.
+MIN_CORRELATION = 0.75
+MAX_LAST_STEP_PX = 0.5
+MAX_OFFSET_PX = 6.0
+# Nor is a patch that has shrunk or grown by more the same.
+MIN_DISTANCE, MAX_DISTANCE = 0.4, 3.0
+# What remains of a landmark's error, its own shape above all, does not shrink with finer pixels.
+MAX_PX_PER_RAD = 640 / (2 * np.pi)
+# A pose with which fewer of those that have a say agree is none.
+MIN_AGREEMENT = 0.3
+# A prediction that was off by more is taken up and the search made anew.
+GOOD_PREDICTION_RAD = np.deg2rad(0.5)
+MAX_ATTEMPTS = 3
+
+
+@dataclass(frozen=True)
+class Localization:
+    """
+    A PoseEstimate by the landmarks in rows (N,), and Points (N) as they were seen.
+
+    ``agreeing`` (N,) bool tells which of them are where the pose says.
+    """
+
+    rows: np.ndarray
+    points: Points
+    pose: PoseEstimate
+    agreeing: np.ndarray
+
+    @property
+    def R_world_camera(self):
+        """Return the camera's orientation."""
+        return self.pose.R_camera_world.inv()
+
+    def observations(self, landmarks, which):
+        """Return the Observations of those in ``which`` (N,) bool."""
+        return Observations(landmarks.number[self.rows[which]], self.points.y[which],
+                            self.points.sqrt_information[which])
+
+
+def localize(landmark_map, rows, pyramid, R_world_camera, position, position_sigma, is_usable,
+             coarsely):
+    """
+    Return the Localization of a camera from a guess, None where it cannot be told.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        What is known.
+    rows : (N,) int
+        Of the landmarks to look for, ascending.
+    pyramid : Pyramid
+        The camera's picture.
+    R_world_camera : Rotation
+        The guess.
+    position : (3,)
+        The same.
+    position_sigma : float
+        Standard deviation of the latter.
+    is_usable : callable
+        Tells of bearings (N, 3) in the camera which to use.
+    coarsely : bool
+        Whether the guess may be off by more than 2 px, including all depths.
+
+    """
+    guess = position
+    for _ in range(MAX_ATTEMPTS):
+        found, points = match_landmarks(
+            landmark_map, rows, pyramid, R_world_camera, guess, is_usable,
+            LEVELS if coarsely else 1)
+        if len(found) < MIN_POINTS:
+            return None
+        mature = landmark_map.landmarks.agreed[found] >= MATURE_FRAMES
+        if mature.sum() >= MIN_MATURE:
+            pose = fit_depths(points, fit_pose(
+                points[mature], R_world_camera.inv(), position, position_sigma))
+        else:
+            mature[:] = True
+            pose = fit_pose_among_movers(
+                points, R_world_camera.inv(), position, position_sigma)
+        agreeing = inlier_mask(pose.sizes, pose.scale)
+        if agreeing[mature].mean() < MIN_AGREEMENT or agreeing.sum() < MIN_POINTS:
+            return None
+        off_rad = (pose.R_camera_world * R_world_camera).magnitude()
+        R_world_camera, guess = pose.R_camera_world.inv(), pose.position
+        if off_rad < GOOD_PREDICTION_RAD:
+            break
+        coarsely = True
+    return Localization(found, points, pose, agreeing)
+
+
+def match_landmarks(landmark_map, rows, pyramid, R_world_camera, position, is_usable,
+                    levels=LEVELS):
+    """Return which of the landmarks in rows are found from a guessed pose, and as what Points."""
+    R, origins = landmark_map.hosts(rows)
+    landmarks = landmark_map.landmarks
+    x = np.einsum('nij,nj->ni', R, landmarks.x[rows])
+    z = x - landmarks.inverse_depth[rows, None] * (position - origins)
+    distance = np.linalg.norm(z, axis=1)
+    b = z / distance[:, None]
+    R_world_camera = R_world_camera.as_matrix()
+    expected = b @ R_world_camera
+    seen = np.flatnonzero(
+        (np.abs(expected[:, 1]) < np.sin(MAX_LATITUDE_RAD)) & is_usable(expected)
+        & (distance > MIN_DISTANCE) & (distance < MAX_DISTANCE))
+    rows, R, x, b, origins, expected, distance = (
+        one[seen] for one in (rows, R, x, b, origins, expected, distance))
+    # Tangents go along from x to b without a twist.
+    east = np.einsum('nij,nj->ni', R, landmarks.east[rows])
+    east -= (np.einsum('ni,ni->n', east, b)
+             / (1 + np.einsum('ni,ni->n', x, b)))[:, None] * (x + b)
+    east = east @ R_world_camera
+    south = cross(expected, east)
+    patches = landmark_map.store.patches
+    offsets, correlation, last_step_px = patches.find(
+        landmarks.patch[rows], pyramid, expected, east, south, 1 / distance, levels)
+    found = ((correlation > MIN_CORRELATION) & (last_step_px < MAX_LAST_STEP_PX)
+             & (np.linalg.norm(offsets, axis=1) * pyramid.px_per_rad() < MAX_OFFSET_PX))
+    rows, offsets, expected, east, south = (
+        one[found] for one in (rows, offsets, expected, east, south))
+    y = expected + offsets[:, :1] * east + offsets[:, 1:] * south
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    px_per_rad = min(pyramid.px_per_rad(), MAX_PX_PER_RAD)
+    sqrt_information = (patches.sqrt_information_px[landmarks.patch[rows]] * px_per_rad
+                        @ np.stack((east, south), axis=1))
+    return rows, Points(x[found], origins[found], landmarks.inverse_depth[rows],
+                        landmarks.information[rows], y, sqrt_information)

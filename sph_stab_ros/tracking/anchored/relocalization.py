@@ -1,0 +1,100 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+How a camera that was lost is turned in the world that it knew before: by features.
+
+Landmarks are found again where the camera is near its expected place; after a long gap it is not,
+and a new map begins, turned by what nobody has seen. Features are matched from farther away, and
+an essential matrix tells the turn without depths, within a degree or two. That is enough to go on
+in the world as it was.
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.tracking.frame_to_frame.estimators.essential import fit_essential
+from sph_stab_ros.tracking.frame_to_frame.features import detect, match
+
+# The last keyframes before the loss are compared first, then as many of the others.
+LAST_TRIED = OTHERS_TRIED = 8
+# Where the new world began may never have been seen; so many of its other pictures are tried.
+MAX_PICTURES = 4
+# A single one may have been misled, by the robot's own body or by walkers; it is believed when
+# another keyframe says the same.
+AGREEMENT_RAD = np.deg2rad(3)
+SIGMA_RAD = np.deg2rad(1)
+
+
+class Relocalizer:
+    """
+    Looks for the place of a picture among the keyframes of a world that was lost.
+
+    A keyframe at a time, since each takes a tenth of a second.
+
+    Parameters
+    ----------
+    keyframes : list of Keyframe
+        Of that world, oldest first.
+    grey : (H, W) uint8
+        A sphere, as large as the keyframes' own.
+    R_new_camera : Rotation
+        Of the picture, in the world that has begun with it.
+    used : (H, W) bool
+        Pixels to use of any of the pictures.
+
+    """
+
+    def __init__(self, keyframes, grey, R_new_camera, used, pictures_left=MAX_PICTURES - 1):
+        self.keyframes = keyframes
+        self._pictures_left = pictures_left
+        self._grey, self._used, self._R_new_camera = grey, used, R_new_camera
+        self._features = None
+        # R_old_new by each keyframe that had an answer, and on how many pairs that stands.
+        self._answers, self._supports = [], []
+        others = keyframes[:-LAST_TRIED]
+        every = max(1, -(-len(others) // OTHERS_TRIED))
+        self._untried = [*others[::every], *keyframes[-LAST_TRIED:]]
+
+    @property
+    def is_over(self):
+        """Whether there is no keyframe left to compare with."""
+        return not self._untried
+
+    def with_another(self, grey, R_new_camera):
+        """Return the same for another picture of the new world, None after MAX_PICTURES."""
+        if not self._pictures_left:
+            return None
+        return Relocalizer(
+            self.keyframes, grey, R_new_camera, self._used, self._pictures_left - 1)
+
+    def step(self):
+        """Compare with one more keyframe; return R_old_new, of the two worlds, once it is sure."""
+        keyframe = self._untried.pop()
+        if self._features is None:
+            self._features = detect(self._grey, self._used)
+        pairs = match(detect(keyframe.grey, self._used), self._features)
+        estimate = fit_essential(pairs)
+        if estimate is None:
+            return None
+        R_camera_key = turn_with_less_parallax(estimate, pairs)
+        R_old_new = (Rotation.from_matrix(keyframe.R) * R_camera_key.inv()
+                     * self._R_new_camera.inv())
+        self._answers.append(R_old_new)
+        self._supports.append(estimate.support)
+        answers = Rotation.concatenate(self._answers)
+        alike = (answers * R_old_new.inv()).magnitude() < AGREEMENT_RAD
+        return answers[alike].mean(np.array(self._supports)[alike]) if alike.sum() > 1 else None
+
+
+def turn_with_less_parallax(estimate, pairs):
+    """Return that one of the two rotations which an essential matrix allows, of any size."""
+    R = estimate.R_current_previous
+    half_turn = Rotation.from_rotvec(np.pi * estimate.t_current)
+    return max((R, half_turn * R), key=lambda one: np.median(
+        np.einsum('ni,ni->n', one.apply(pairs.previous), pairs.current)))

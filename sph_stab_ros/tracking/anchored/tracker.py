@@ -1,0 +1,307 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The anchored tracker: landmarks of which each keeps the look it had when it was first seen.
+
+What is compared with its first look instead of with the last frame does not drift. Each frame is
+located among the landmarks; now and then one becomes a keyframe, and the last keyframes' poses and
+the landmarks' depths are adjusted together. Inactive landmarks are looked for again when the
+camera comes near.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.rotations import rotate_covariance, rotation_from_matrix
+from sph_stab_ros.images.texture import at_most, has_texture, TEXTURE_WIDTH as SMALL_WIDTH
+from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MAX_LANDMARKS, Observations
+from sph_stab_ros.tracking.anchored.localization import (
+    localize, match_landmarks, MATURE_FRAMES, MIN_MATURE, MIN_POINTS)
+from sph_stab_ros.tracking.anchored.patches import Pyramid
+from sph_stab_ros.tracking.anchored.relocalization import Relocalizer, SIGMA_RAD
+from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, difference, Thumbnail
+from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, TrackingStatus
+from sph_stab_ros.tracking.motion_model import MotionModel
+
+# A new keyframe is made where fewer of the landmarks than these are seen, or where they have moved
+# further since the last one, in the median.
+MIN_SURVIVORS = 0.4
+MAX_PARALLAX_RAD = 0.04
+# Landmarks are deactivated when they are missed for so many frames, or disagree for as many.
+MAX_MISSED = 6
+MIN_AGREED, DISAGREEING = -5, -2
+# At a keyframe so many of those inactive are looked for; they are back within this much.
+MAX_RETURNING = 600
+RETURNING_SIZE = 8.0
+# How far the camera moves against a prediction, in the unit of the map, per second.
+POSITION_SIGMA_PER_S = 0.6
+MIN_POSITION_SIGMA = 0.02
+# After a longer time patches are searched coarsely first.
+MAX_FINE_S = 0.05
+# After a loss the last keyframes are tried, from these headings.
+MAX_CANDIDATES = 6
+YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
+MAX_ATTEMPTS = 3
+# How a camera that was lost is turned nobody knows.
+LOST_RAD = 1.
+# A correction reaches the picture at this rate.
+MAX_CORRECTION_RAD = np.deg2rad(0.01)
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """A grey sphere (H, W), as a whole and small (h, w), and what is made of it."""
+
+    grey: np.ndarray
+    small: np.ndarray
+    pyramid: Pyramid
+    thumbnail: Thumbnail
+
+
+class AnchoredTracker:
+    """
+    Orientation among landmarks, of which those at places seen before are used again.
+
+    Parameters
+    ----------
+    width : int
+        Of the grey spheres.
+    used : (H, W) bool, optional
+        Pixels to use.
+    max_prediction_s : float
+        For how long the last angular velocity is trusted.
+    gyro_rotation : callable
+        Returns the turn ``R_from_to`` between two stamps, or None.
+
+    """
+
+    def __init__(self, width, used=None, max_prediction_s=0.5, gyro_rotation=no_gyro):
+        self._used = used
+        self._max_prediction_s = max_prediction_s
+        self._turn_between = gyro_rotation
+        self.reset()
+
+    def reset(self):
+        """Forget everything: the next frame's orientation is the new world."""
+        self._map = LandmarkMap()
+        self._visible = VisibleWorld(self._used)
+        self._thumbnail = None
+        self._motion = MotionModel(self._max_prediction_s, self._turn_between)
+        self._covariance = np.zeros((3, 3))
+        self._R_out_world = Rotation.identity()
+        self._keyframe_to_add = None
+        self._relocalizer = None
+
+    @property
+    def body_mask(self):
+        """Pixels (80, 160) bool of the camera that stand still while the world turns."""
+        return self._visible.still.mask
+
+    @property
+    def keyframes_kept(self):
+        """Return the number of keyframes in the map."""
+        return len(self._map.keyframes)
+
+    @property
+    def landmarks_kept(self):
+        """Return the number of landmarks in the map."""
+        return 0 if self._map.landmarks is None else len(self._map.landmarks)
+
+    def track(self, grey, stamp_ns):
+        """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
+        self.settle()
+        small = at_most(grey, SMALL_WIDTH)
+        if not has_texture(small):
+            return self._predicted(stamp_ns)
+        frame = PreparedFrame(grey, small, Pyramid(grey), Thumbnail(small))
+        if not self._map.keyframes:
+            self._start_map(frame, stamp_ns)
+        else:
+            localization = self._locate(frame, stamp_ns) or self._relocalize_nearby(frame)
+            if localization is None:
+                held = self._predicted(stamp_ns)
+                if held.status is TrackingStatus.LOST:
+                    self._motion.R_world_camera = held.R_world_camera
+                    self._start_anew(frame)
+                return held
+            self._accept(frame, stamp_ns, localization)
+            self._judge_landmarks(localization)
+            if self._is_keyframe(localization):
+                self._keyframe_to_add = frame, localization
+        return TrackedOrientation(
+            self._R_out_world * self._motion.R_world_camera, TrackingStatus.OK, self._covariance)
+
+    def settle(self):
+        """Do what the last orientation did not have to wait for: keyframes, and recognition."""
+        # Taken off first: one that fails must not fail again with every frame to come.
+        keyframe, self._keyframe_to_add = self._keyframe_to_add, None
+        if keyframe:
+            self._add_keyframe(*keyframe)
+            if self._relocalizer and self._relocalizer.is_over:
+                self._relocalizer = self._relocalizer.with_another(
+                    keyframe[0].grey, self._motion.R_world_camera)
+        if self._relocalizer and not self._relocalizer.is_over:
+            self._relocalize_globally()
+
+    def _start_anew(self, frame):
+        """Start a map in a world of its own, until the old one is recognised."""
+        # Lost again before that, it is still the old one that counts.
+        keyframes = (self._relocalizer or self._map).keyframes
+        used = cv2.resize(np.uint8(self._visible.pixels()), frame.grey.shape[::-1],
+                          interpolation=cv2.INTER_NEAREST) > 0
+        self._relocalizer = Relocalizer(
+            keyframes, frame.grey, self._motion.R_world_camera, used)
+        self._covariance = LOST_RAD ** 2 * np.eye(3)
+        self._start_map(frame, None)
+
+    def _relocalize_globally(self):
+        """Go on looking for the old world, and turn the new one into it once it is found."""
+        R_old_new = self._relocalizer.step()
+        if R_old_new is not None:
+            known_better = SIGMA_RAD ** 2 - LOST_RAD ** 2
+            self._map.turn(R_old_new, known_better)
+            self._motion.rotate_world(R_old_new)
+            self._covariance = (rotate_covariance(self._covariance, R_old_new)
+                                + known_better * np.eye(3))
+            self._R_out_world = Rotation.identity()
+            self._relocalizer = None
+
+    def _start_map(self, frame, stamp_ns):
+        """Start anew from here, in the orientation reached."""
+        self._map = LandmarkMap()
+        self._motion.reset(stamp_ns)
+        self._R_out_world = Rotation.identity()
+        self._visible.still.update(frame.small, None)
+        self._thumbnail = frame.thumbnail
+        self._map.add_keyframe(
+            self._motion.R_world_camera, self._motion.position, self._covariance, frame.grey,
+            frame.thumbnail, Observations(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
+        self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
+        self._landmarks_at_keyframe = MAX_LANDMARKS
+
+    def _locate(self, frame, stamp_ns):
+        """Return the Localization near where the camera is expected, None without."""
+        if self._map.landmarks is None:
+            return None
+        motion = self._motion
+        R_camera_last = align_thumbnails(
+            self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
+        elapsed_s = motion.trusted_s(stamp_ns)
+        return localize(
+            self._map, np.flatnonzero(self._map.landmarks.active), frame.pyramid,
+            motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
+            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._visible.shows,
+            coarsely=elapsed_s > MAX_FINE_S)
+
+    def _relocalize_nearby(self, frame):
+        """Return the Localization near one of the last keyframes, whatever the camera has done."""
+        if self._map.landmarks is None:
+            return None
+        starts = []
+        for keyframe in self._map.keyframes[-MAX_CANDIDATES:]:
+            for yaw_rad in YAW_STARTS_RAD:
+                R_camera_key = align_thumbnails(keyframe.thumbnail, frame.thumbnail,
+                                                Rotation.from_rotvec((0, yaw_rad, 0)))
+                unlike = difference(keyframe.thumbnail, frame.thumbnail, R_camera_key)
+                starts.append((unlike, len(starts), keyframe, R_camera_key))
+        landmarks = self._map.landmarks
+        for _, _, keyframe, R_camera_key in sorted(starts)[:MAX_ATTEMPTS]:
+            rows = np.flatnonzero((landmarks.host == keyframe.number)
+                                  | np.isin(landmarks.number, keyframe.observations.number))
+            localization = localize(
+                self._map, rows, frame.pyramid,
+                rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
+                POSITION_SIGMA_PER_S, self._visible.shows, coarsely=True)
+            if localization is not None:
+                landmarks.active[localization.rows] = True
+                landmarks.missed[localization.rows] = 0
+                self._R_out_world = Rotation.identity()
+                return localization
+        return None
+
+    def _accept(self, frame, stamp_ns, localization):
+        """Make this frame the last one that showed something."""
+        pose, R_world_camera = localization.pose, localization.R_world_camera
+        step = self._motion.update(stamp_ns, R_world_camera, pose.position)
+        self._visible.still.update(frame.small, step.inv())
+        self._thumbnail = frame.thumbnail
+        self._covariance = (self._map.keyframes[-1].covariance
+                            + rotate_covariance(pose.covariance[:3, :3], R_world_camera))
+        left = self._R_out_world.as_rotvec()
+        size = np.linalg.norm(left)
+        self._R_out_world = Rotation.from_rotvec(
+            left * (max(0., size - MAX_CORRECTION_RAD) / max(size, 1e-12)))
+
+    def _judge_landmarks(self, localization):
+        """Note which landmarks agree; deactivate those that are not seen or do not."""
+        landmarks, agreeing = self._map.landmarks, localization.agreeing
+        good = localization.rows[agreeing]
+        landmarks.inverse_depth[good] = localization.pose.inverse_depths[agreeing]
+        landmarks.agreed[localization.rows] += np.where(agreeing, 1, DISAGREEING)
+        np.minimum(landmarks.agreed, 2 * MATURE_FRAMES, out=landmarks.agreed)
+        landmarks.missed[landmarks.active] += 1
+        landmarks.missed[good] = 0
+        landmarks.active &= (landmarks.missed < MAX_MISSED) & (landmarks.agreed > MIN_AGREED)
+
+    def _is_keyframe(self, localization):
+        seen = localization.rows[localization.agreeing]
+        last, some = self._map.keyframes[-1], seen[::4]
+        parallax_rad = np.median(np.linalg.norm(
+            self._map.directions(some, self._motion.position)
+            - self._map.directions(some, last.position), axis=1))
+        if parallax_rad > MAX_PARALLAX_RAD:
+            return True
+        # In the beginning those that move by themselves must have time to tell.
+        mature = (self._map.landmarks.agreed[seen] >= MATURE_FRAMES).sum()
+        return len(seen) < (MIN_SURVIVORS * self._landmarks_at_keyframe
+                            if mature >= MIN_MATURE else 2 * MIN_POINTS)
+
+    def _add_keyframe(self, frame, localization):
+        """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
+        motion, before = self._motion, self._motion.R_world_camera
+        observations = [localization.observations(self._map.landmarks, localization.agreeing),
+                        self._returning(frame)]
+        observations = Observations.joined(observations)
+        self._map.add_keyframe(before, motion.position, self._covariance, frame.grey,
+                               frame.thumbnail, observations[np.argsort(observations.number)])
+        self._map.adjust()
+        keyframe = self._map.keyframes[-1]
+        motion.R_world_camera = rotation_from_matrix(keyframe.R)
+        motion.position = keyframe.position
+        self._R_out_world = self._R_out_world * before * motion.R_world_camera.inv()
+        self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
+        self._map.shrink()
+        self._landmarks_at_keyframe = self._map.landmarks.active.sum()
+
+    def _returning(self, frame):
+        """Wake inactive landmarks that are seen from here; return their Observations."""
+        landmarks, motion = self._map.landmarks, self._motion
+        rows, points = match_landmarks(
+            self._map, self._map.near(motion.position, MAX_RETURNING), frame.pyramid,
+            motion.R_world_camera, motion.position, self._visible.shows)
+        b = self._map.directions(rows, motion.position) @ motion.R_world_camera.as_matrix()
+        sizes = np.linalg.norm(
+            np.einsum('nki,ni->nk', points.sqrt_information, b - points.y), axis=1)
+        back = (sizes < RETURNING_SIZE) & (landmarks.agreed[rows] >= MATURE_FRAMES)
+        landmarks.active[rows[back]] = True
+        landmarks.missed[rows[back]] = 0
+        return Observations(landmarks.number[rows[back]], points.y[back],
+                            points.sqrt_information[back])
+
+    def _predicted(self, stamp_ns):
+        """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
+        motion = self._motion
+        return TrackedOrientation(
+            self._R_out_world * motion.R_world_camera * motion.predicted_rotation(stamp_ns),
+            TrackingStatus.PREDICTED if motion.is_predictable(stamp_ns)
+            else TrackingStatus.LOST)

@@ -1,0 +1,57 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What trackers give, and what they have in common."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+class TrackingStatus(Enum):
+    """How much an orientation is worth."""
+
+    OK = 'ok'
+    # No rotation could be told from this frame; extrapolated from the last ones.
+    PREDICTED = 'predicted'
+    # The same for too long: the last orientation is held, and tracking starts anew from here.
+    LOST = 'lost'
+
+
+@dataclass(frozen=True)
+class TrackedOrientation:
+    """
+    The camera's orientation, and how it was come by.
+
+    ``covariance`` (3, 3) in rad² is that of the error's rotation vector in the world,
+    ``exp(error) R_true``; None where the tracker does not know it.
+    """
+
+    R_world_camera: Rotation
+    status: TrackingStatus
+    covariance: np.ndarray | None = None
+
+
+def no_gyro(from_ns, to_ns):
+    """Return None for the turn ``R_from_to`` between two stamps: there is no gyro to tell."""
+
+
+class Tracker(Protocol):
+    """What every tracker does."""
+
+    def track(self, grey, stamp_ns) -> TrackedOrientation:
+        """Take in the next grey sphere (H, W) uint8, return the camera's orientation."""
+
+    def settle(self):
+        """Do what was put off; the next frame will do it otherwise."""
+
+    def reset(self):
+        """Forget everything: the next frame's orientation is the new world."""

@@ -1,0 +1,45 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The Tracker that a config asks for, and how wide the pictures are that it works on."""
+
+import numpy as np
+
+from sph_stab_ros.config import ANCHORED
+from sph_stab_ros.geometry.masks import load_mask
+from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
+from sph_stab_ros.tracking.base import no_gyro
+from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
+
+# Corners gain from resolution, dense flow costs by it.
+ANCHORED_WIDTH = 640
+FRAME_TO_FRAME_WIDTH = 480
+
+
+def working_width(config):
+    """Return the width in pixels that images are to be reduced to under a TrackerConfig."""
+    if config.working_width:
+        return config.working_width
+    return ANCHORED_WIDTH if config.estimator == ANCHORED else FRAME_TO_FRAME_WIDTH
+
+
+def make_tracker(config, width, gyro_rotation=no_gyro):
+    """
+    Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
+
+    ``gyro_rotation(from_ns, to_ns)`` returns the turn ``R_from_to`` that a gyro has seen between
+    two stamps, or None.
+    """
+    used = load_mask(config.mask, width)
+    if config.estimator == ANCHORED:
+        return AnchoredTracker(width, used, config.max_prediction_s, gyro_rotation)
+    bound_deg = config.epipolar_bound_deg
+    return FrameToFrameTracker(
+        config.estimator, used, config.max_prediction_s, gyro_rotation,
+        flow=config.flow, flow_updates=config.flow_updates,
+        epipolar_bound_rad=np.deg2rad(bound_deg) if bound_deg < 180 else np.inf)

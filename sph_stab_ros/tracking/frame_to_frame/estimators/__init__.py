@@ -1,0 +1,18 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""From pairs of bearings to a rotation: the paper's three fits, with what they take and give."""
+
+from sph_stab_ros.tracking.frame_to_frame.estimators.base import (
+    BearingPairs, FitStatus, RotationEstimate)
+from sph_stab_ros.tracking.frame_to_frame.estimators.epipolar import fit_epipolar
+from sph_stab_ros.tracking.frame_to_frame.estimators.essential import fit_essential
+from sph_stab_ros.tracking.frame_to_frame.estimators.moment import fit_moment
+
+__all__ = ['BearingPairs', 'FitStatus', 'RotationEstimate', 'fit_epipolar', 'fit_essential',
+           'fit_moment']

@@ -1,0 +1,112 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Two spheres and the paper's three ways to tell the rotation between them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from sph_stab_ros.geometry.masks import antipodal
+from sph_stab_ros.tracking.frame_to_frame.estimators import fit_epipolar, fit_essential, fit_moment
+from sph_stab_ros.tracking.frame_to_frame.estimators.epipolar import BOUND_RAD
+from sph_stab_ros.tracking.frame_to_frame.features import detect, match
+from sph_stab_ros.tracking.frame_to_frame.optical_flow import dense_pairs
+
+# Beyond these flow may not have seen the motion, and a start from features pays.
+LARGE_ROTATION_RAD = np.deg2rad(6)
+LARGE_RESIDUAL_RAD = np.deg2rad(3)
+# No walk or flight leaves so much flow between two frames: the fit is of something else.
+ABSURD_RESIDUAL_RAD = np.deg2rad(8)
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A grey sphere (H, W) uint8 and the pixels of it to use (H, W) bool, all where None."""
+
+    grey: np.ndarray
+    used: np.ndarray | None = None
+
+    @cached_property
+    def features(self):
+        """Find the A-KAZE features, once."""
+        return detect(self.grey, self.used)
+
+
+@dataclass(frozen=True)
+class ImagePair:
+    """
+    Two consecutive spheres.
+
+    Their flow is computed by ``flow`` and again ``flow_updates`` times on the derotated image;
+    ``epipolar_bound_rad`` is that of fit_epipolar.
+    """
+
+    previous: Sphere
+    current: Sphere
+    flow: str = 'farneback'
+    flow_updates: int = 0
+    epipolar_bound_rad: float = BOUND_RAD
+
+    def pts(self):
+        """Estimate from A-KAZE features: eight-point RANSAC for the essential matrix."""
+        return fit_essential(match(self.previous.features, self.current.features))
+
+    def moment(self):
+        """
+        Estimate from the directional moment of dense flow (3 DoF).
+
+        Where the motion is too large for flow, ``pts`` supplies the start (§4.6 of the paper),
+        by which the images are derotated before the flow; the better of the two fits counts.
+        """
+        estimate = self._refined(self._moment_from(None))
+        if estimate is None or not self._is_too_large(estimate):
+            return estimate
+        start = self.pts()
+        if start is not None:
+            restarted = self._refined(self._moment_from(start.R_current_previous))
+            estimate = min((estimate, restarted), key=lambda fit: fit.residual_rad)
+        return estimate if estimate.residual_rad < ABSURD_RESIDUAL_RAD else None
+
+    def pts_epipolar(self):
+        """Estimate rotation and epipole from dense flow (5 DoF, Eq. 8), started from ``pts``."""
+        start = self.pts()
+        if start is None:
+            return None
+        large = start.R_current_previous.magnitude() > LARGE_ROTATION_RAD
+        pairs = self._flow(start.R_current_previous if large else None, self.previous.used)
+        estimate = pairs and fit_epipolar(pairs, start, self.epipolar_bound_rad)
+        for _ in range(self.flow_updates if estimate else 0):
+            pairs = self._flow(estimate.R_current_previous, self.previous.used)
+            estimate = fit_epipolar(pairs, estimate, self.epipolar_bound_rad)
+        return estimate
+
+    def _moment_from(self, start):
+        pairs = self._flow(start, antipodal(self.previous.used))
+        return pairs and fit_moment(pairs, start)
+
+    def _refined(self, estimate):
+        for _ in range(self.flow_updates if estimate else 0):
+            estimate = self._moment_from(estimate.R_current_previous)
+        return estimate
+
+    def _flow(self, start, used):
+        return dense_pairs(self.previous.grey, self.current.grey, self.flow, start, used)
+
+    @staticmethod
+    def _is_too_large(estimate):
+        return (estimate.R_current_previous.magnitude() > LARGE_ROTATION_RAD
+                or estimate.residual_rad > LARGE_RESIDUAL_RAD)
+
+
+METHODS = {
+    'pts': ImagePair.pts,
+    'moment': ImagePair.moment,
+    'pts_epipolar': ImagePair.pts_epipolar,
+}

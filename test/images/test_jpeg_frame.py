@@ -1,0 +1,107 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Frames in JPEG files: what is decoded of them, and what is refused."""
+
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from sph_stab_ros.geometry.projection import Equirect
+from sph_stab_ros.images.codec import encode_jpeg, image_from_compressed, ImageError
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.jpeg_frame import frame_from_message, jpeg_size, JpegFrame
+from tiny_recordings import textured_sphere
+
+PROGRESSIVE = cv2.IMWRITE_JPEG_PROGRESSIVE, 1
+RESTARTS = cv2.IMWRITE_JPEG_RST_INTERVAL, 4
+
+
+def jpeg(image, *options):
+    """Return a JPEG file of an image."""
+    return cv2.imencode('.jpg', image, options)[1].tobytes()
+
+
+def message(data):
+    """Return what looks like a CompressedImage."""
+    return SimpleNamespace(format='jpeg', data=data)
+
+
+@pytest.mark.parametrize('options', [(), PROGRESSIVE, RESTARTS], ids=str)
+@pytest.mark.parametrize('size_wh', [(640, 320), (642, 321), (17, 333)], ids=str)
+@pytest.mark.parametrize('channels', [1, 3])
+def test_size_is_that_of_the_image(size_wh, channels, options):
+    image = np.zeros((*size_wh[::-1], channels), np.uint8)
+    data = jpeg(image, *options)
+    assert jpeg_size(data) == size_wh
+    frame = JpegFrame(data, 0)
+    assert frame.size_wh == size_wh == Frame(frame.image, 0).size_wh
+    # Comments and fill bytes may come before what says the size.
+    comment = b'\xff\xff\xff\xfe\x00\x06\xff\xc0\x00\x00'
+    assert jpeg_size(data[:2] + comment + data[2:]) == size_wh
+
+
+@pytest.mark.parametrize('image_width, width, expected', [
+    (640, 640, 640), (1278, 640, 1278), (1280, 640, 640), (1920, 640, 960), (1920, 480, 480),
+    (512, 640, 512), (5376, 640, 672)])
+def test_no_more_is_decoded_than_is_wanted(image_width, width, expected):
+    data = jpeg(textured_sphere(image_width))
+    reduced = JpegFrame(data, 0).at_least(width)
+    assert reduced.shape == (expected // 2, expected)
+
+
+def test_reduced_spheres_are_those_of_the_whole():
+    """Reduced in two steps instead of one they are hardly less sharp, and nothing moves."""
+    width, data = 320, jpeg(textured_sphere(1920), cv2.IMWRITE_JPEG_QUALITY, 95)
+    frame, loaded = JpegFrame(data, 7, 'camera'), JpegFrame(data, 7, 'camera')
+    loaded.load()
+    assert np.array_equal(loaded.image, image_from_compressed(data))
+    assert loaded.at_least(width) is loaded.image
+    whole, reduced = (np.float64(Equirect(1920).grey_sphere(one, width))
+                      for one in (loaded, frame))
+    assert np.corrcoef(whole.ravel(), reduced.ravel())[0, 1] > 0.99
+    assert np.hypot(*cv2.phaseCorrelate(whole, reduced)[0]) < 0.02
+
+
+def test_messages_become_frames():
+    image = textured_sphere(128)
+    frame = frame_from_message(message(jpeg(image)), 5, 'camera')
+    assert isinstance(frame, JpegFrame)
+    assert (frame.stamp_ns, frame.frame_id, frame.size_wh) == (5, 'camera', (128, 64))
+    png = frame_from_message(message(cv2.imencode('.png', image)[1].tobytes()), 5, 'camera')
+    assert isinstance(png, Frame) and np.array_equal(png.image, image)
+    assert png.at_least(64) is png.image
+    raw = SimpleNamespace(height=64, width=128, encoding='bgr8', step=384, data=image.ravel())
+    assert np.array_equal(frame_from_message(raw, 5).image, image)
+
+
+def without_frame_header():
+    """Return a JPEG file that ends before it says its size, and an end marker after all."""
+    data = encode_jpeg(textured_sphere(128)).tobytes()
+    return data[:data.index(b'\xff\xc0')] + b'\xff\xda' + b'\xff\xd9'
+
+
+@pytest.mark.parametrize('data, reason', [
+    (encode_jpeg(textured_sphere(128)).tobytes()[:-200], 'truncated JPEG'),
+    (without_frame_header(), 'corrupt JPEG'),
+    (b'\xff\xd8\xff\xda\xff\xd9', 'corrupt JPEG'),
+    (b'GIF89a', 'not JPEG or PNG')])
+def test_what_is_not_a_whole_file_is_refused_at_once(data, reason):
+    with pytest.raises(ImageError) as error:
+        frame_from_message(message(data), 0)
+    assert error.value.reason == reason
+
+
+def test_what_cannot_be_decoded_is_refused_when_it_is_asked_for():
+    # Its tables become comments.
+    data = jpeg(textured_sphere(128)).replace(b'\xff\xdb', b'\xff\xfe')
+    frame = frame_from_message(message(data), 0)
+    for asked in (frame.load, lambda: frame.at_least(64)):
+        with pytest.raises(ImageError, match='corrupt JPEG'):
+            asked()

@@ -1,0 +1,185 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The operator's server with a real node and a camera of raw images, seen by a bare WebSocket."""
+
+import asyncio
+from contextlib import asynccontextmanager
+import json
+import os
+import re
+import signal
+import socket
+from struct import unpack_from
+import subprocess
+import sys
+from time import monotonic
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from synthetic import angle_deg
+from tiny_recordings import stamps_of, turning_spheres
+
+pytest.importorskip('rclpy', reason='rclpy is not installed')
+aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed')
+from node_harness import DOMAINS, pixels, rotation, stabilizer, stamp_ns  # noqa: E402, I100
+
+TIMEOUT_S = 30.
+RESEND_S = 0.5
+
+
+def operator(*arguments, domain=None):
+    """Start the server."""
+    return subprocess.Popen(
+        [sys.executable, '-m', 'sph_stab_ros.operator', *arguments], text=True,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain or next(DOMAINS))},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@asynccontextmanager
+async def connection(url):
+    """Open a WebSocket as the page does."""
+    async with aiohttp.ClientSession() as session, session.ws_connect(
+            url + 'socket', headers={'Origin': url.rstrip('/')}) as browser:
+        yield browser
+
+
+def received_pictures(url, count, send):
+    """
+    Return the headers and files of ``count`` pictures.
+
+    Pictures are sent, by ``send()``, one whenever the last one is there, or did not come: the
+    server may not have subscribed yet.
+    """
+    async def receive():
+        pictures, sent_s = [], 0.
+        async with connection(url) as browser:
+            async for message in browser:
+                if message.type is aiohttp.WSMsgType.BINARY:
+                    length, = unpack_from('<I', message.data)
+                    header = json.loads(message.data[4:4 + length])
+                    await browser.send_str(json.dumps(
+                        {'type': 'drawn', 'sequence': header['sequence']}))
+                    if header['orientation']:
+                        pictures.append((header, message.data[4 + length:]))
+                    if len(pictures) == count:
+                        return pictures
+                elif monotonic() < sent_s + RESEND_S:
+                    # A state; they come all the time.
+                    continue
+                send()
+                sent_s = monotonic()
+
+    return asyncio.run(asyncio.wait_for(receive(), TIMEOUT_S))
+
+
+@pytest.fixture(scope='module')
+def robot(tmp_path_factory):
+    """Return a Peer of a node that looks at raw images, and its domain."""
+    domain = next(DOMAINS)
+    with stabilizer(tmp_path_factory.mktemp('robot'), domain=domain,
+                    topics=('orientation', 'stabilized/image')) as peer:
+        yield peer, domain
+
+
+@pytest.mark.parametrize('pictures', ['camera', 'stabilizer'])
+def test_pictures_and_orientations_belong_together(robot, pictures):
+    peer, domain = robot
+    spheres, _ = turning_spheres(60)
+    # Later than those of the other test.
+    stamps_ns = stamps_of(2000)[1000 * (pictures == 'stabilizer'):]
+    sent = {}
+
+    def send():
+        n = len(sent)
+        sent[int(stamps_ns[n])] = spheres[n % len(spheres)]
+        peer.send(spheres[n % len(spheres)], stamps_ns[n])
+        peer.spin_for(0.05)
+
+    server = operator('--port', '0', '--pictures', pictures, domain=domain)
+    try:
+        got = received_pictures(server.stdout.readline().split()[-1], 8, send)
+        # The other subscriber's may come later than the server's.
+        peer.wait_until(lambda: max(int(header['stamp_ns']) for header, _ in got)
+                        <= stamp_ns(peer.received['stabilized/image'][-1]))
+    finally:
+        server.send_signal(signal.SIGINT)
+        assert server.wait(TIMEOUT_S) == 0
+    orientations = {stamp_ns(msg): rotation(msg) for msg in peer.received['orientation']}
+    shown = {stamp_ns(msg): pixels(msg) for msg in peer.received['stabilized/image']}
+    for header, file in got:
+        time_ns = int(header['stamp_ns'])
+        R_world_camera = Rotation.from_quat(header['orientation']['R_world_camera'])
+        R_world_virtual = Rotation.from_quat(header['orientation']['R_world_virtual'])
+        assert angle_deg(R_world_camera, orientations[time_ns]) < 1e-6
+        assert R_world_virtual.magnitude() == 0
+        assert header['derotated'] == (pictures == 'stabilizer')
+        expected = sent[time_ns] if pictures == 'camera' else shown[time_ns]
+        image = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_COLOR)
+        assert np.mean(cv2.absdiff(image, expected)) < 5
+    assert len({header['stamp_ns'] for header, _ in got}) == len(got)
+
+
+def test_the_stabilizer_s_refusal_is_told(tmp_path):
+    domain = next(DOMAINS)
+    with stabilizer(tmp_path, domain=domain):
+        server = operator('--port', '0', domain=domain)
+        try:
+            url = server.stdout.readline().split()[-1]
+            notice = asyncio.run(asyncio.wait_for(answer_to(url, 'level'), TIMEOUT_S))
+        finally:
+            server.send_signal(signal.SIGINT)
+            assert server.wait(TIMEOUT_S) == 0
+    assert notice == {'type': 'notice', 'text': 'There is no picture yet.', 'ok': False}
+
+
+async def answer_to(url, command):
+    """Return the notice that answers a command, once the robot can take it."""
+    async with connection(url) as browser:
+        async for message in browser:
+            values = json.loads(message.data)
+            if values['type'] == 'notice':
+                return values
+            if values['robot'][f'can_{command}']:
+                await browser.send_str(json.dumps({'type': command}))
+
+
+def test_the_port_is_taken():
+    with socket.socket() as other:
+        other.bind(('127.0.0.1', 0))
+        other.listen()
+        port = other.getsockname()[1]
+        server = operator('--port', str(port))
+        output, errors = server.communicate(timeout=TIMEOUT_S)
+    assert server.returncode == 1
+    assert not output
+    assert re.fullmatch(r'operator: cannot listen on 127\.0\.0\.1: .+\n', errors), errors
+
+
+def test_the_network_needs_the_token_that_is_printed():
+    server = operator('--host', '0.0.0.0', '--port', '0')
+    try:
+        url = server.stdout.readline().split()[-1]
+        port, token = re.fullmatch(r'http://[^/]+:(\d+)/\?token=([\w-]{20,})', url).groups()
+
+        async def statuses():
+            async with aiohttp.ClientSession() as session:
+                for query in ('', '?token=' + token):
+                    async with session.get(f'http://127.0.0.1:{port}/{query}') as answer:
+                        yield answer.status
+
+        async def collected():
+            return [status async for status in statuses()]
+
+        assert asyncio.run(collected()) == [403, 200]
+    finally:
+        server.send_signal(signal.SIGTERM)
+        assert server.wait(TIMEOUT_S) == 0
+    assert token not in server.stderr.read()

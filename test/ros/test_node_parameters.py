@@ -1,0 +1,162 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The node's parameters, at the start and live, and the names that are remapped."""
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sph_stab_ros.config import NODE_PARAMETERS
+from synthetic import angle_deg
+from tiny_recordings import stamps_of, turning_spheres
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
+from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
+from rclpy.context import Context  # noqa: E402
+from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
+
+DEFAULTS = Path(__file__).resolve().parents[2] / 'config' / 'stabilizer.yaml'
+
+
+def test_every_option_is_a_parameter_with_its_default_and_limits(tmp_path):
+    with stabilizer(tmp_path, '--params-file', str(DEFAULTS)) as peer:
+        assert NODE_PARAMETERS.keys() <= peer.list_parameters()
+        values = peer.get_parameters(*NODE_PARAMETERS)
+        descriptors = peer.describe_parameters(*NODE_PARAMETERS)
+    for option, value, descriptor in zip(NODE_PARAMETERS.values(), values, descriptors):
+        assert value == (
+            list(option.default) if isinstance(option.default, tuple) else option.default)
+        assert descriptor.description == option.description
+        assert descriptor.read_only is not option.live
+        assert all(choice in descriptor.additional_constraints for choice in option.choices or ())
+        limits = [*descriptor.integer_range, *descriptor.floating_point_range]
+        assert [(one.from_value, one.to_value) for one in limits] == (
+            [] if option.minimum is None else [(option.minimum, option.maximum)])
+
+
+def test_changes_take_effect_at_the_next_image(tmp_path):
+    images, R_world_camera = turning_spheres(8)
+    R_world_camera = R_world_camera[0].inv() * R_world_camera
+    with stabilizer(tmp_path, topics=(
+            'orientation', 'view/image', 'view/camera_info', 'view/image/compressed')) as peer:
+        for i, stamp_ns in enumerate(stamps_of(4)):
+            peer.stabilize(images[i], stamp_ns)
+        large = len(peer.received['view/image/compressed'][-1].data)
+
+        assert not any(peer.set_parameters(
+            view__width=200, view__height=100, view__hfov_deg=60., jpeg_quality=5))
+        peer.stabilize(images[3], stamps_of(5)[-1])
+        view, info = peer.received['view/image'][-1], peer.received['view/camera_info'][-1]
+        assert (view.width, view.height, info.width, info.height) == (200, 100, 200, 100)
+        assert np.isclose(info.k[0], 100 / np.tan(np.deg2rad(30)))
+        assert np.allclose((info.k[2], info.k[5]), (99.5, 49.5))
+        assert len(peer.received['view/image/compressed'][-1].data) < large / 4
+
+        # Another estimator takes over in the orientation reached.
+        assert peer.set_parameters(estimator='pts', working_width=256) == ['', '']
+        for i, stamp_ns in zip(range(3, 8), stamps_of(10)[5:]):
+            R = peer.stabilize(images[i], stamp_ns)
+            assert angle_deg(R, R_world_camera[i]) < 0.5
+        assert peer.get_parameters('estimator', 'view.width') == ['pts', 200]
+
+
+def test_nobody_waits_until_the_estimator_is_done(tmp_path):
+    """Answers come while an image is being worked on; of what is asked the next image is told."""
+    images, _ = turning_spheres(4, 1024)
+    slow = '-p', 'estimator:=pts_epipolar', '-p', 'working_width:=1024'
+    with stabilizer(tmp_path, *slow) as peer:
+        answers = peer.received['orientation']
+        first_ns, second_ns, third_ns = stamps_of(3)
+        peer.stabilize(images[0], first_ns)
+        peer.send(images[1], second_ns)
+        peer.spin_for(0.05)
+        assert peer.set_parameters(estimator='pts', working_width=256) == ['', '']
+        assert peer.reset().success
+        assert len(answers) == 1
+        peer.wait_until(lambda: len(answers) == 2)
+        assert peer.stabilize(images[3], third_ns).magnitude() == 0
+
+
+def test_refusals_name_the_reason_and_change_nothing(tmp_path):
+    wrong = {
+        'estimator': ('best', 'estimator is one of anchored, pts, moment, pts_epipolar'),
+        'view.hfov_deg': (500., 'out of range'),
+        'view.yaw_deg': (float('nan'), 'out of range'),
+        'view.width': ('wide', 'Wrong parameter type'),
+        'mask': ('/there/is/no.png', "'/there/is/no.png' cannot be read"),
+        'image_transport': ('compressed', 'read-only'),
+        'views': (['front'], 'read-only'),
+        'publish_tf': ('yes', 'Wrong parameter type'),
+        'front_marker': ('everywhere', 'front_marker is one of none, views, all'),
+        'cmd_vel_timeout_s': (0., 'out of range'),
+    }
+    with stabilizer(tmp_path) as peer:
+        before = peer.get_parameters(*NODE_PARAMETERS)
+        for name, (value, reason) in wrong.items():
+            answer, = peer.set_parameters(**{name: value})
+            assert reason in answer
+        assert peer.get_parameters(*NODE_PARAMETERS) == before
+
+
+@pytest.mark.parametrize('arguments, reason', (
+    (['-p', 'estimator:=best'], 'estimator is one of'),
+    (['-p', 'view.hfov_deg:=500.0'], 'out of range'),
+    (['-p', 'mask:=lat:5'], "mask 'lat:5' is not of the form"),
+    (['-p', 'view.width:=wide'], "'view.width'"),
+    (['-p', 'views:=[]'], 'views is a list of names'),
+    (['-p', 'views:=front'], "'views'"),
+    (['-p', 'views:=[front, front]'], 'different names'),
+    (['-p', 'views:=[front-left]'], "'front-left' cannot be a view: letters, digits"),
+    (['-p', 'views:=[stabilized]'], "'stabilized' cannot be a view: something else"),
+    (['-p', 'view.frame_id:=stabilized_optical'], 'must be different names'),
+    (['-p', 'nonsense'], 'nonsense'),
+))
+def test_it_does_not_start_with_wrong_values(arguments, reason):
+    done = start('--ros-args', *arguments)
+    assert done.returncode == 2
+    said = [line for line in done.stderr.splitlines() if line.startswith('stabilizer: ')]
+    assert len(said) == 1 and reason in said[0]
+    assert 'Traceback' not in done.stderr
+
+
+def test_wrong_command_lines_are_refused():
+    done = start('--estimator', 'pts')
+    assert done.returncode == 2
+    assert done.stderr == 'stabilizer: unrecognized arguments: --estimator pts\n'
+
+
+def start(*arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'sph_stab_ros.stabilizer', *arguments], text=True, timeout=60,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(next(DOMAINS))}, capture_output=True)
+
+
+def test_misspelt_parameters_are_named(tmp_path):
+    with stabilizer(tmp_path, '-p', 'estimatr:=pts') as peer:
+        assert "there is no parameter 'estimatr'" in peer.output()
+
+
+@pytest.mark.parametrize('remappings, topic', (
+    ([], '/image/compressed'),
+    (['image:=/theta/image_raw'], '/theta/image_raw/compressed'),
+    (['image/compressed:=/jpeg'], '/jpeg'),
+    (['image:=/theta/image_raw', 'image/compressed:=/jpeg'], '/jpeg'),
+))
+def test_compressed_images_go_where_the_raw_ones_go(remappings, topic):
+    context = Context()
+    rclpy.init(context=context, domain_id=next(DOMAINS))
+    arguments = [word for rule in remappings for word in ('-r', rule)]
+    node = rclpy.create_node('node', context=context, cli_args=['--ros-args', *arguments])
+    resolved = node.resolve_topic_name(compressed_topic(node, 'image'))
+    node.destroy_node()
+    context.try_shutdown()
+    assert resolved == topic

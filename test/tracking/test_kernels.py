@@ -1,0 +1,148 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""What is compiled does the same as what is written in NumPy."""
+
+import shutil
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros import kernels
+from sph_stab_ros.tracking.anchored import bundle_adjustment, pose_estimation
+from sph_stab_ros.tracking.anchored.patches import Patches, Pyramid
+from synthetic import random_rotation, textured_sphere, unit
+from test_bundle_adjustment import perturbed, true_window
+from test_patches import corners
+from test_pose_estimation import points, POSITION
+
+COMPILER = shutil.which('cc') or shutil.which('gcc')
+# With a compiler it is an error that there is nothing compiled, and these fail.
+pytestmark = pytest.mark.skipif(
+    kernels.library is None and not COMPILER, reason='there is no C compiler here')
+
+
+@pytest.mark.skipif(not COMPILER, reason='there is no C compiler here')
+def test_they_are_compiled_where_there_is_a_compiler():
+    assert kernels.library is not None
+
+
+@pytest.fixture
+def both(monkeypatch):
+    """Return what a function without arguments returns, compiled and in NumPy."""
+    def both(function):
+        compiled = function()
+        monkeypatch.setattr(kernels, 'library', None)
+        in_numpy = function()
+        monkeypatch.undo()
+        return compiled, in_numpy
+    return both
+
+
+def assert_close(compiled, in_numpy):
+    for one, other in zip(compiled, in_numpy, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_equations_of_a_pose(both, seed):
+    rng = np.random.default_rng(seed)
+    R = random_rotation(rng, 50)
+    seen = points(rng, R, POSITION, noise_rad=1e-3, information=10.)
+    state = ((random_rotation(rng, 2) * R).as_matrix(), POSITION + 0.01,
+             1.1 * seen.inverse_depths)
+    r = pose_estimation.residuals(seen, *state)
+    assert_close(*both(lambda: (pose_estimation.residuals(seen, *state),)))
+    weights = rng.uniform(size=len(seen))
+    assert_close(*both(lambda: pose_estimation.equations(seen, *state, r, weights)))
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_equations_of_a_bundle(both, seed):
+    rng = np.random.default_rng(seed)
+    window = perturbed(rng, true_window(rng, noise_rad=1e-3))
+    state = window.R, window.p, window.inverse_depths
+    assert_close(*both(lambda: (bundle_adjustment.residual_lengths(window, *state),)))
+    sizes = bundle_adjustment.residual_lengths(window, *state)
+
+    def equations():
+        one = bundle_adjustment.normal_equations(window, *state, sizes)
+        return one.H, one.g, one.H_rp, one.H_rr, one.g_r
+    assert_close(*both(equations))
+
+
+@pytest.mark.parametrize('turn_deg', (0, 20, 150))
+def test_patches(both, turn_deg):
+    rng = np.random.default_rng(turn_deg)
+    R = random_rotation(rng, turn_deg)
+    width = 480
+    x, east, south = corners(textured_sphere(width))
+    patches = Patches.cut(Pyramid(textured_sphere(width)), x, east, south)
+    image = Pyramid(textured_sphere(width, R))
+    seen = [R.inv().apply(one) for one in (unit(x + rng.normal(0, 0.01, x.shape)), east, south)]
+    rows, scale = rng.permutation(len(x))[:80], rng.uniform(0.9, 1.1, 80)
+    (offsets, correlation, _), (in_numpy, also, _) = both(lambda: patches.find(
+        rows, image, *(one[rows] for one in seen), scale))
+    low = np.abs(seen[0][rows, 1]) < np.sin(np.deg2rad(60))
+    found = low & (correlation > 0.9) & (also > 0.9)
+    assert found.sum() > 30
+    # OpenCV reads at 32nds of a pixel, and NumPy goes on with those that have settled.
+    px = np.linalg.norm(offsets - in_numpy, axis=1)[found] * width / (2 * np.pi)
+    assert np.median(px) < 0.03 and np.percentile(px, 95) < 0.1
+    np.testing.assert_allclose(correlation[found], also[found], atol=0.02)
+
+
+def test_what_is_read_is_copied_where_it_is_not_dense():
+    rng = np.random.default_rng(5)
+    seen = points(rng, Rotation.identity(), POSITION)
+    loose = np.asfortranarray(seen.x)
+    assert not loose.flags.c_contiguous
+    r = pose_estimation.residuals(seen, np.eye(3), POSITION, seen.inverse_depths)
+    again = pose_estimation.residuals(
+        pose_estimation.Points(loose, *(getattr(seen, one) for one in (
+            'origins', 'inverse_depths', 'information', 'y', 'sqrt_information'))),
+        np.eye(3), POSITION, seen.inverse_depths)
+    np.testing.assert_array_equal(r, again)
+
+
+def test_what_cannot_be_written_to_is_read_as_well():
+    seen = points(np.random.default_rng(6), Rotation.identity(), POSITION)
+    r = pose_estimation.residuals(seen, np.eye(3), POSITION, seen.inverse_depths)
+    seen.y.flags.writeable = False
+    np.testing.assert_array_equal(
+        r, pose_estimation.residuals(seen, np.eye(3), POSITION, seen.inverse_depths))
+
+
+@pytest.mark.parametrize('wrong', [
+    np.empty(4), np.empty(8, np.float32)[::2], np.broadcast_to(np.float32(0), (4,))],
+    ids=['float64', 'not dense', 'read only'])
+def test_what_is_written_must_be_dense_and_of_its_type(wrong):
+    image, place = np.zeros((2, 2), np.uint8), np.zeros(4, np.float32)
+    kernels.library.read_pixels(4, image, 2, 2, place, place, np.empty(4, np.float32))
+    with pytest.raises(TypeError):
+        kernels.library.read_pixels(4, image, 2, 2, place, place, wrong)
+
+
+def test_numbers_of_the_wrong_kind_or_count_are_refused():
+    with pytest.raises(TypeError):
+        kernels.library.pose_residuals('many', *[np.zeros(9)] * 8)
+    with pytest.raises(ValueError):
+        kernels.library.pose_residuals(1, *[np.zeros(9)] * 7)
+
+
+class Interrupting:
+    """An array that somebody presses Ctrl-C at."""
+
+    def __array__(self, *_, **__):
+        raise KeyboardInterrupt
+
+
+def test_an_interruption_stays_one():
+    with pytest.raises(KeyboardInterrupt):
+        kernels.library.pose_residuals(1, Interrupting(), *[np.zeros(9)] * 7)
