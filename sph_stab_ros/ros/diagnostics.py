@@ -122,7 +122,7 @@ class Diagnostics:
                 'refused': sum(self._refused.values()),
                 **{f'refused: {reason}': n for reason, n in sorted(self._refused.items())},
                 **self._of_imu(elapsed_s),
-                **{f'event: {name}': n for name, n in sorted(self._events.items())},
+                **{f'notice: {name}': n for name, n in sorted(self._events.items())},
             }
             values.update({f'cpu_percent: {stage}': f'{percent:.1f}'
                            for stage, percent in self.cpu.percentages().items()})
