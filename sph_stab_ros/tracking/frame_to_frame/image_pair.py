@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Two spheres and the paper's three ways to tell the rotation between them."""
+"""Two consecutive spheres and the paper's three methods for the rotation between them."""
 
 from dataclasses import dataclass
 from functools import cached_property
