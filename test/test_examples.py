@@ -68,7 +68,7 @@ def test_orientation(drone):
     assert len(lines) == FRAMES
     turned_deg = [float(line[6]) for line in lines]
     assert turned_deg == pytest.approx(
-        true_turns_deg([int(line[0]) for line in lines]), abs=0.2)
+        true_turns_deg([int(line[0]) for line in lines]), abs=0.1)
 
 
 def test_custom_estimator(drone):
@@ -77,7 +77,7 @@ def test_custom_estimator(drone):
     turned_deg = np.rad2deg(Rotation.from_quat(
         np.array([row[1:] for row in rows], float)).magnitude())
     # Plain least squares takes the motion of near things for turning.
-    assert turned_deg == pytest.approx(true_turns_deg([int(row[0]) for row in rows]), abs=3)
+    assert turned_deg == pytest.approx(true_turns_deg([int(row[0]) for row in rows]), abs=1.5)
     assert turned_deg[-1] > 10
 
 
