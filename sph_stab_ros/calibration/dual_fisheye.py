@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The calibration of two fisheye lenses out of what both of them see.
+Calibrate two fisheye lenses by what both of them see.
 
 Corners in the ring where the lenses overlap are followed from one lens' circle into the other's.
 Each gives two pixels that look along one bearing; the parameters are those that make these

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Every option of the stabiliser and its node."""
+"""Every option of the algorithm and of the ROS node around it."""
 
 from dataclasses import dataclass, fields, replace
 import re

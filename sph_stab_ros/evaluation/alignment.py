@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-How truth and camera relate: the mount rotation and the offset between their clocks.
+Align ground truth with the camera: the mount rotation and the offset between their clocks.
 
 Truth is the orientation ``R_mocap_body`` of some body in some world, on some clock; the estimate
 is ``R_world_camera``. With the constant mount rotation ``R_body_camera``::

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""True orientations out of a recording's messages."""
+"""Ground truth: orientations from the messages of a recording."""
 
 import logging
 

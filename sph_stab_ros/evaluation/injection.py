@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Evaluation without truth: real footage turned by known rotations.
+Evaluation without ground truth: real footage turned by known rotations.
 
 Frame i of a clip is rendered as a camera turned by ``R_camera_shaken[i]`` would have seen it. Of
 whatever orientation an estimator finds for the clip itself, that of the shaken clip must be the

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What ``evaluate`` tells people: lines on the terminal."""
+"""The lines that ``evaluate`` prints."""
 
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 

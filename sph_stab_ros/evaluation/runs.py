@@ -7,11 +7,11 @@
 # language governing permissions and limitations under the License.
 
 """
-Errors of estimated orientations against true ones.
+Run estimators over a recording and compare their orientations with ground truth.
 
-All are of orientations relative to the first frame evaluated. Roll, pitch and yaw are those of the
-camera's own REP 103 body (x forward along the image centre, y left, z up), not of the truth's,
-whose axes point anywhere on a motion-capture rigid body.
+All errors are of orientations relative to the first frame evaluated. Roll, pitch and yaw are those
+of the camera's own REP 103 body (x forward along the image centre, y left, z up), not of the
+truth's, whose axes point anywhere on a motion-capture rigid body.
 """
 
 from dataclasses import dataclass

@@ -6,7 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A recording of two fisheye circles as one of spheres, for whatever needs spheres."""
+"""
+A recording of two fisheye circles, read as equirectangular pictures.
+
+Injected rotations and figures need those. The circles are stitched, that is joined into one
+sphere; nothing is turned or stabilised here.
+"""
 
 from collections import Counter
 from dataclasses import replace

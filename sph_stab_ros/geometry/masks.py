@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Which pixels to use: a robot sees its own body, which does not turn against the camera."""
+"""Masks of pixels to use: the robot's own body, which turns with the camera, is left out."""
 
 from pathlib import Path
 

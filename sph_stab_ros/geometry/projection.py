@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How a picture holds the sphere: which of its pixels shows what lies in a direction."""
+"""How a picture shows the sphere: which of its pixels is seen along a bearing."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Protocol

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Which Projection the pictures of a stream have, by the config and their size."""
+"""Choose the Projection of a stream's pictures by the config and their size."""
 
 from sph_stab_ros.config import DUAL_FISHEYE, MIN_WIDTH
 from sph_stab_ros.geometry.equirect import is_equirect

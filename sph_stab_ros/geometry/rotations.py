@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What SciPy and NumPy do of rotations, at the speed that every frame needs."""
+"""Operations on rotations, where SciPy and NumPy are too slow for every frame."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-One inverse warp: a turned sphere, or a perspective view, out of a spherical picture.
+The inverse warp: a rotated sphere, or a perspective view, out of a spherical picture.
 
 Each pixel of the target looks along a bearing; rotated into the source frame it says where to
 read. Computing that for every pixel takes as long as reading where it is compiled and three times

@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-A mark in the picture where the robot's front is: a picture without rotation does not show it.
+Draw where the robot's front is, which a picture that does not turn with the robot cannot show.
 
-The mark is that of an aircraft's flight path: a ring with wings, which lie along the camera's
-horizon. Where the front is outside of the picture, an arrow at the border points to it.
+The marker looks like that of an aircraft's flight path: a ring with wings, which lie along the
+camera's horizon. Where the front is outside of the picture, an arrow at the border points to it.
 """
 
 import cv2

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Raw and stabilised, sphere and views, in one picture to look at."""
+"""The recorded and the stabilised sphere and views, side by side in one picture."""
 
 import cv2
 import numpy as np

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What an inertial measurement unit says: samples of it, and the turns that its gyro saw."""
+"""Samples of an inertial measurement unit, and the rotation that its gyro measured."""
 
 from bisect import bisect_right
 from collections import deque

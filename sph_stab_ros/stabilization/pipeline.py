@@ -97,9 +97,20 @@ class StabilizedFrame:
 
 
 class Stabilizer:
-    """Takes the camera's rotation out of a stream of frames."""
+    """
+    Takes the camera's rotation out of a stream of frames.
 
-    def __init__(self, config=StabilizerConfig()):
+    Parameters
+    ----------
+    config : StabilizerConfig
+    make_tracker : callable
+        Returns the Tracker to use, from the same arguments as ``tracking.make_tracker``: the place
+        for an estimator of your own.
+
+    """
+
+    def __init__(self, config=StabilizerConfig(), make_tracker=make_tracker):
+        self._make_tracker = make_tracker
         # Filled by add_imu, in another thread maybe, and emptied by process.
         self._imu_inbox = deque(maxlen=IMU_INBOX_SIZE)
         self._imu = ImuHistory()
@@ -204,7 +215,7 @@ class Stabilizer:
         """Start a tracker for frames of this size, in the orientation and place reached so far."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
-        self._tracker = make_tracker(
+        self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._imu.gyro_rotation)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance

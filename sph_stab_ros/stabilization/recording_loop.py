@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Stabilise a recording picture by picture; what is made of each is up to sinks."""
+"""Stabilise a recording frame by frame and hand each result to sinks, which write it."""
 
 from collections import Counter
 from contextlib import closing

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-How much of the camera's turning the picture keeps: none, slow turns, or slow turns of heading.
+How much of the camera's rotation the picture keeps: none, slow turns, or slow turns of heading.
 
 The virtual camera, whose pictures are shown, is drawn towards a target: the world itself
 (``lock``, the paper's rotation-less camera), the camera (``follow``), or the level camera of the

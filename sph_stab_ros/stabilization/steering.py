@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Where a virtual camera looks: set at once, or turned and zoomed at rates."""
+"""Where a view looks and how far it zooms: set at once, or changed at given rates."""
 
 from dataclasses import dataclass
 from threading import Lock

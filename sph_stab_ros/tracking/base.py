@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What trackers give, and what they have in common."""
+"""What every tracker takes and returns."""
 
 from dataclasses import dataclass
 from enum import Enum

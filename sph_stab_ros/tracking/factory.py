@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The Tracker that a config asks for, and how wide the pictures are that it works on."""
+"""Make the Tracker that a config asks for, and tell how wide its pictures are."""
 
 import numpy as np
 

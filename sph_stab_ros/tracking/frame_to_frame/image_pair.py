@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Two spheres and the paper's three ways to tell the rotation between them."""
+"""Two consecutive spheres and the paper's three methods for the rotation between them."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -54,9 +54,13 @@ class ImagePair:
     flow_updates: int = 0
     epipolar_bound_rad: float = BOUND_RAD
 
+    def matches(self):
+        """Return the BearingPairs of the A-KAZE features that match."""
+        return match(self.previous.features, self.current.features)
+
     def pts(self):
         """Estimate from A-KAZE features: eight-point RANSAC for the essential matrix."""
-        return fit_essential(match(self.previous.features, self.current.features))
+        return fit_essential(self.matches())
 
     def moment(self):
         """

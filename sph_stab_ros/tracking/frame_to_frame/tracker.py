@@ -25,8 +25,8 @@ class FrameToFrameTracker:
 
     Parameters
     ----------
-    method : str
-        A name in METHODS.
+    method : str or callable
+        A name in METHODS, or a function of an ImagePair that returns a RotationEstimate or None.
     used : (H, W) bool, optional
         Pixels to use.
     max_prediction_s : float
@@ -40,7 +40,7 @@ class FrameToFrameTracker:
 
     def __init__(self, method, used=None, max_prediction_s=0.5, gyro_rotation=no_gyro,
                  **pair_options):
-        self._estimate = METHODS[method]
+        self._estimate = method if callable(method) else METHODS[method]
         self._pair_options = pair_options
         self._used = used
         self._max_prediction_s = max_prediction_s
