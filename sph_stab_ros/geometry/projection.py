@@ -41,7 +41,7 @@ class Projection(Protocol):
 
     @property
     def border(self) -> int:
-        """What lies beyond the picture's edges, by OpenCV's name."""
+        """Name what lies beyond the picture's edges, as OpenCV does."""
 
     @property
     def sphere_width(self) -> int:
