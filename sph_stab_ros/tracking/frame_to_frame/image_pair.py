@@ -71,7 +71,8 @@ class ImagePair:
         start = self.pts()
         if start is not None:
             restarted = self._refined(self._moment_from(start.R_current_previous))
-            estimate = min((estimate, restarted), key=lambda fit: fit.residual_rad)
+            if restarted is not None:
+                estimate = min((estimate, restarted), key=lambda fit: fit.residual_rad)
         return estimate if estimate.residual_rad < ABSURD_RESIDUAL_RAD else None
 
     def pts_epipolar(self):
@@ -80,21 +81,27 @@ class ImagePair:
         if start is None:
             return None
         large = start.R_current_previous.magnitude() > LARGE_ROTATION_RAD
-        pairs = self._flow(start.R_current_previous if large else None, self.previous.used)
-        estimate = pairs and fit_epipolar(pairs, start, self.epipolar_bound_rad)
-        for _ in range(self.flow_updates if estimate else 0):
-            pairs = self._flow(estimate.R_current_previous, self.previous.used)
-            estimate = fit_epipolar(pairs, estimate, self.epipolar_bound_rad)
+        estimate = self._epipolar_from(start, start.R_current_previous if large else None)
+        for _ in range(self.flow_updates):
+            if estimate is not None:
+                estimate = self._epipolar_from(estimate, estimate.R_current_previous)
         return estimate
 
     def _moment_from(self, start):
         pairs = self._flow(start, antipodal(self.previous.used))
-        return pairs and fit_moment(pairs, start)
+        return None if pairs is None else fit_moment(pairs, start)
 
     def _refined(self, estimate):
-        for _ in range(self.flow_updates if estimate else 0):
-            estimate = self._moment_from(estimate.R_current_previous)
+        for _ in range(self.flow_updates):
+            if estimate is not None:
+                estimate = self._moment_from(estimate.R_current_previous)
         return estimate
+
+    def _epipolar_from(self, start, R_guess):
+        """Fit to the flow of the image derotated by a guess, from the start of another fit."""
+        pairs = self._flow(R_guess, self.previous.used)
+        return (None if pairs is None
+                else fit_epipolar(pairs, start, self.epipolar_bound_rad))
 
     def _flow(self, start, used):
         return dense_pairs(self.previous.grey, self.current.grey, self.flow, start, used)
