@@ -10,10 +10,10 @@
 
 import numpy as np
 
-from sph_stab_ros.config import ANCHORED
+from sph_stab_ros.config import ANCHORED, TrackerConfig
 from sph_stab_ros.geometry.masks import load_mask
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
-from sph_stab_ros.tracking.base import no_gyro
+from sph_stab_ros.tracking.base import GyroRotation, no_gyro, Tracker
 from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
 
 # Corners gain from resolution, dense flow costs by it.
@@ -21,14 +21,15 @@ ANCHORED_WIDTH = 640
 FRAME_TO_FRAME_WIDTH = 480
 
 
-def working_width(config):
+def working_width(config: TrackerConfig) -> int:
     """Return the width in pixels that images are to be reduced to under a TrackerConfig."""
     if config.working_width:
         return config.working_width
     return ANCHORED_WIDTH if config.estimator == ANCHORED else FRAME_TO_FRAME_WIDTH
 
 
-def make_tracker(config, width, gyro_rotation=no_gyro):
+def make_tracker(
+        config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro) -> Tracker:
     """
     Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
 
