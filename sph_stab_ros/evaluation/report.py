@@ -8,7 +8,7 @@
 
 """What ``evaluate`` tells people: lines on the terminal."""
 
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
 
 
 def error_lines(figures):
@@ -59,7 +59,7 @@ def _in_columns(rows):
 
 def describe(alignment, mount_given):
     """Return the Alignment as figures; the mount's angles as ``--mount`` takes them."""
-    yaw, pitch, roll = (R_BODY_CAMERA.inv() * alignment.R_body_camera).as_euler(
+    yaw, pitch, roll = (R_CAMERA_BODY * alignment.R_body_camera).as_euler(
         'YXZ', degrees=True).tolist()
     return {
         'mount': {

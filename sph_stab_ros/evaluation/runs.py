@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.evaluation.alignment import (
     align_trajectories, Alignment, check_overlap, EvaluationError, has_truth)
 from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabilizer
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA, R_CAMERA_BODY
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
@@ -108,7 +108,7 @@ def errors(stamps_ns, R_mocap_camera, R_world_camera, consecutive=slice(None)):
     """
     time_s = (stamps_ns - stamps_ns[0]) / NS_PER_S
     true, estimated = (
-        R_BODY_CAMERA * (R[0].inv() * R) * R_BODY_CAMERA.inv()
+        R_BODY_CAMERA * (R[0].inv() * R) * R_CAMERA_BODY
         for R in (R_mocap_camera, R_world_camera))
     error = (estimated * true.inv()).as_rotvec(degrees=True)
     true_turns, estimated_turns = (R[:-1].inv() * R[1:] for R in (true, estimated))

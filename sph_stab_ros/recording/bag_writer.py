@@ -12,6 +12,7 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.warp import focal_length_px
 from sph_stab_ros.images.codec import encode_jpeg, jpeg_format
 
@@ -53,7 +54,7 @@ class BagWriter:
 
     def header(self, stamp_ns, frame_id):
         """Return a std_msgs Header."""
-        sec, nanosec = divmod(max(stamp_ns, 0), 10**9)
+        sec, nanosec = divmod(max(stamp_ns, 0), NS_PER_S)
         stamp = self.type('builtin_interfaces/msg/Time')(sec=sec, nanosec=nanosec)
         return self.type('std_msgs/msg/Header')(stamp=stamp, frame_id=frame_id)
 

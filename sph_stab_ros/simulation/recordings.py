@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.images.codec import encode_jpeg, jpeg_format
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
@@ -29,7 +29,7 @@ CAMERA_FRAME = 'theta_camera'
 TRUTH_FRAME = 'mocap'
 
 # Markers never sit straight: an upright body, put on with a few odd degrees and centimetres.
-R_CAMERA_MARKERS = R_BODY_CAMERA.inv() * Rotation.from_euler('ZYX', (7.0, -4.0, 2.5), degrees=True)
+R_CAMERA_MARKERS = R_CAMERA_BODY * Rotation.from_euler('ZYX', (7.0, -4.0, 2.5), degrees=True)
 P_CAMERA_MARKERS_M = np.array((0.03, 0.09, -0.05))
 
 _TRUTH_PERIOD_NS = 10_000_000
