@@ -14,8 +14,6 @@ The calibration of two fisheye lenses as a file of the node's parameters.
 
 from collections.abc import Mapping
 
-from ruamel.yaml import YAML, YAMLError
-
 from sph_stab_ros.config import (
     ConfigError, DUAL_FISHEYE, FisheyeConfig, options, StabilizerConfig, with_option)
 
@@ -53,6 +51,8 @@ def read_calibration(path):
 
     Raises ConfigError where there is none, or a value is not allowed.
     """
+    # The node gets its parameters from rclpy and runs where this is not installed.
+    from ruamel.yaml import YAML, YAMLError
     try:
         content = YAML(typ='safe', pure=True).load(path.read_text())
     except (OSError, UnicodeDecodeError) as error:
