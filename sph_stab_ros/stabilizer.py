@@ -196,8 +196,15 @@ class StabilizerNode(Node):
         looks = self._outputs.publish_orientation(stabilized, msg.header)
         self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
         self._drawing.put(stabilized, msg.header.stamp, looks, received_s)
-        with cpu.stage('track'):
-            self._stabilizer.settle()
+        self._settle()
+
+    def _settle(self):
+        """Do what the orientation has not waited for; the image was used, whatever becomes of it."""
+        try:
+            with self._diagnostics.cpu.stage('track'):
+                self._stabilizer.settle()
+        except Exception as error:
+            self._diagnostics.event('keyframe_failed', f'a keyframe was given up: {error!r}')
 
     def _draw(self, stabilized, stamp, looks, received_s):
         self._outputs.publish_pictures(stabilized, stamp, looks)
