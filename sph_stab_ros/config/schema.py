@@ -225,5 +225,11 @@ def view_parameters(name):
             if one.name == 'frame_id' else one for one in options(ViewConfig)}
 
 
+def configured_views(config):
+    """Return the ViewConfig of each view of a NodeConfig, by name; VIEW's is its own."""
+    return {name: config.view if name == VIEW else ViewConfig(frame_id=f'{name}_optical')
+            for name in config.views}
+
+
 # The node's parameters by name. The tracker's have no prefix, as on the command lines.
 NODE_PARAMETERS = {one.name.removeprefix('tracker.'): one for one in options(NodeConfig)}
