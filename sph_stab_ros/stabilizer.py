@@ -14,6 +14,7 @@ as ``image_transport`` says, where ``level`` is ``imu`` to ``imu`` (sensor_msgs/
 view to what steers it, see ``ros.views``.
 
 Publishes ``orientation`` (geometry_msgs/QuaternionStamped, ``R_world_camera``),
+``virtual_orientation`` (geometry_msgs/QuaternionStamped, ``R_world_virtual``),
 ``orientation_covariance`` (geometry_msgs/PoseWithCovarianceStamped) where the tracker knows it,
 ``stabilized/image`` and, for each of the ``views``, ``view/image``, both with ``/compressed``,
 and ``view/camera_info``, ``/tf``, all with the image's stamp and only what somebody subscribes

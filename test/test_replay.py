@@ -68,6 +68,7 @@ def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):
          '--view=90,10,0,60')
     out = open_recording(tmp_path / 'out', 'stabilized/image/compressed')
     types = {'orientation': 'geometry_msgs/msg/QuaternionStamped',
+             'virtual_orientation': 'geometry_msgs/msg/QuaternionStamped',
              'orientation_covariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
              'stabilized/image/compressed': 'sensor_msgs/msg/CompressedImage',
              'view/image/compressed': 'sensor_msgs/msg/CompressedImage',

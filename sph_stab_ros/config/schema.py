@@ -29,7 +29,8 @@ MODES = (LOCK, FOLLOW, YAW_FOLLOW)
 VIEW = 'view'
 VIEW_NAME = '[A-Za-z]([A-Za-z0-9]|_(?!_))*'
 # Roots of topics and of rclpy's own parameters.
-RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized')
+RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized',
+            'virtual_orientation')
 EQUIRECT = 'equirect'
 DUAL_FISHEYE = 'dual_fisheye'
 PROJECTIONS = (EQUIRECT, DUAL_FISHEYE)

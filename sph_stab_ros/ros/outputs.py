@@ -16,7 +16,8 @@ from sph_stab_ros.stabilization.outputs import (
     COMPRESSED, fits_into_tree, orientation_outputs, picture_outputs, topics, TRANSFORMS_TOPIC)
 
 # Orientations are small and wanted whole.
-DEPTHS = {'orientation': 10, 'orientation_covariance': 10, TRANSFORMS_TOPIC: 100}
+DEPTHS = {'orientation': 10, 'orientation_covariance': 10, 'virtual_orientation': 10,
+          TRANSFORMS_TOPIC: 100}
 
 
 class Outputs:

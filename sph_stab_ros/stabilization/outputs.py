@@ -62,6 +62,7 @@ def topics(view_names):
     return {
         'orientation': messages.QUATERNION,
         'orientation_covariance': messages.POSE_WITH_COVARIANCE,
+        'virtual_orientation': messages.QUATERNION,
         TRANSFORMS_TOPIC: messages.TRANSFORMS,
         **pictures,
         **{topic + COMPRESSED: messages.COMPRESSED_IMAGE for topic in pictures},
@@ -77,8 +78,10 @@ def orientation_outputs(stabilized, config, cameras):
     """Yield the Outputs of a StabilizedFrame that cost little, under a NodeConfig."""
     stamp_ns, world = stabilized.stamp_ns, config.stabilized_frame
     R_world_camera = stabilized.R_world_camera
-    yield Output('orientation', partial(
-        messages.orientation, stamp_ns=stamp_ns, frame_id=world, R_frame_other=R_world_camera))
+    in_world = partial(messages.orientation, stamp_ns=stamp_ns, frame_id=world)
+    yield Output('orientation', partial(in_world, R_frame_other=R_world_camera))
+    yield Output(
+        'virtual_orientation', partial(in_world, R_frame_other=stabilized.R_world_virtual))
     if stabilized.covariance is not None:
         yield Output('orientation_covariance', partial(
             messages.pose, stamp_ns=stamp_ns, frame_id=world, R_world_camera=R_world_camera,
