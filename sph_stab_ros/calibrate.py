@@ -18,7 +18,6 @@ from itertools import islice
 from pathlib import Path
 import sys
 
-import cv2
 import numpy as np
 
 from sph_stab_ros.calibration.dual_fisheye import calibrate, CalibrationError, for_size
@@ -26,6 +25,7 @@ from sph_stab_ros.calibration.file import calibration_text, read_calibration
 from sph_stab_ros.command_line import add_recording, frames_to_read, Parser, run
 from sph_stab_ros.config import ConfigError, FisheyeConfig
 from sph_stab_ros.geometry.fisheye import fits
+from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 
@@ -54,8 +54,7 @@ def spread_images(recording, config, max_frames=None, progress=iter):
             height, width = image.shape[:2]
             sizes.add(f'{width}x{height}')
             if fits(config, (width, height)) and (not greys or greys[0].shape == image.shape[:2]):
-                greys.append(
-                    cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image)
+                greys.append(to_grey(image))
     if not greys:
         raise RecordingError(
             f'{recording.name} has no pictures that the calibration to start from is for, '

@@ -16,7 +16,6 @@ remap them with ``--ros-args -r image:=/camera/image``. Ends with status 0 on SI
 from array import array
 from dataclasses import is_dataclass
 from heapq import merge
-from importlib import import_module
 from pathlib import Path
 import signal
 import sys
@@ -37,6 +36,7 @@ from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_proce
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.ros import messages as ros_messages
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
 # Reliable, as subscribers of either kind can receive that.
@@ -159,10 +159,9 @@ def frame_messages(recording, images_type):
 
 def message_type(name):
     """Return the class of, for example, ``sensor_msgs/msg/Image``."""
-    package, _, message = name.split('/')
     try:
-        return getattr(import_module(f'{package}.msg'), message)
-    except (ImportError, AttributeError):
+        return ros_messages.message_type(name)
+    except ImportError:
         raise RecordingError(f'{name} is not installed') from None
 
 

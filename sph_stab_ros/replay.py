@@ -9,6 +9,8 @@
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
 from contextlib import ExitStack
+from functools import cache
+import logging
 from pathlib import Path
 import sys
 import time
@@ -18,16 +20,20 @@ import numpy as np
 from sph_stab_ros.command_line import (
     add_projection_options, add_recording, add_tracker_options, frames_to_read, Parser,
     projection_options, run, tracker_config)
-from sph_stab_ros.config import ANCHORED, NodeConfig, SmoothingConfig, ViewConfig
+from sph_stab_ros.config import ANCHORED, configured_views, NodeConfig, SmoothingConfig, ViewConfig
 from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.stabilization.outputs import (
+    configured_look, fits_into_tree, orientation_outputs, picture_outputs, VirtualCamera)
 from sph_stab_ros.stabilization.pipeline import Stabilizer, view_direction
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
+
+logger = logging.getLogger(__name__)
 
 
 def trajectory_sink(path, force, stack):
@@ -44,19 +50,22 @@ def video_sink(path, force, stack, picture):
 
 
 def bag_sink(path, force, stack, config):
-    """Return a sink that writes what the node publishes into a rosbag2 folder."""
+    """Return a sink that writes what the node publishes, but raw images, into a rosbag2 folder."""
     from sph_stab_ros.recording.bag_writer import BagWriter
     writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
-    world, view = config.stabilized_frame, config.view.frame_id
-    R_world_view, hfov_rad, size_wh = view_geometry(config.view)
+    cameras = [VirtualCamera(name, view, configured_look(view))
+               for name, view in configured_views(config).items()]
+
+    @cache
+    def say_that_tree_is_missing(frame_id):
+        logger.warning("no /tf in %s: the pictures have the frame_id '%s'", path, frame_id)
 
     def write(s):
-        stamp_ns = s.stamp_ns
-        writer.write_orientation('orientation', stamp_ns, world, s.R_world_camera)
-        writer.write_jpeg('stabilized/image/compressed', stamp_ns, world, s.sphere())
-        writer.write_jpeg('view/image/compressed', stamp_ns, view,
-                          s.view(R_world_view, hfov_rad, size_wh))
-        writer.write_camera_info('view/camera_info', stamp_ns, view, hfov_rad, size_wh)
+        if config.publish_tf and not fits_into_tree(s.frame.frame_id, config, cameras):
+            say_that_tree_is_missing(s.frame.frame_id)
+        for output in (*orientation_outputs(s, config, cameras),
+                       *picture_outputs(s, config, cameras, raw=False)):
+            writer.write(output.topic, output.message(writer.make), s.stamp_ns)
     return write
 
 

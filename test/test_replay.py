@@ -68,10 +68,12 @@ def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):
          '--view=90,10,0,60')
     out = open_recording(tmp_path / 'out', 'stabilized/image/compressed')
     types = {'orientation': 'geometry_msgs/msg/QuaternionStamped',
+             'virtual_orientation': 'geometry_msgs/msg/QuaternionStamped',
+             'orientation_covariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
              'stabilized/image/compressed': 'sensor_msgs/msg/CompressedImage',
              'view/image/compressed': 'sensor_msgs/msg/CompressedImage',
              'view/camera_info': 'sensor_msgs/msg/CameraInfo'}
-    assert out.topics == types
+    assert out.topics == {**types, '/tf': 'tf2_msgs/msg/TFMessage'}
     for topic in types:
         stamps_ns = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec
                      for _, m in out.messages(topic)]
@@ -85,6 +87,15 @@ def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):
     shaken, still = ([np.abs(image.astype(int) - images[0]).mean() for image in images[1:]]
                      for images in (turning[0], [frame.image for frame in out.frames()]))
     assert max(still) < min(10, max(shaken) / 3)
+
+
+def test_a_bag_of_pictures_without_a_frame_has_no_transforms_and_that_is_said(
+        turning_video, tmp_path, caplog):
+    """They would hang in the air."""
+    call(turning_video, tmp_path / 'out', '--max-frames', 3)
+    assert '/tf' not in open_recording(tmp_path / 'out', 'view/image/compressed').topics
+    record, = caplog.records
+    assert record.getMessage().startswith('no /tf in ')
 
 
 def frames_of(path):

@@ -16,9 +16,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from sph_stab_ros.config import (
     ConfigError, DUAL_FISHEYE, FisheyeConfig, options, StabilizerConfig, with_option)
 
@@ -56,6 +53,8 @@ def read_calibration(path: Path) -> FisheyeConfig:
 
     Raises ConfigError where there is none, or a value is not allowed.
     """
+    # The node gets its parameters from rclpy and runs where this is not installed.
+    from ruamel.yaml import YAML, YAMLError
     try:
         content = YAML(typ='safe', pure=True).load(path.read_text())
     except (OSError, UnicodeDecodeError) as error:

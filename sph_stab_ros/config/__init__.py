@@ -11,14 +11,14 @@
 from sph_stab_ros.config.options import (
     ConfigError, get_option, Option, options, with_option)
 from sph_stab_ros.config.schema import (
-    ANCHORED, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW, IMU, ImuConfig,
-    LensConfig, LEVELS, LOCK, METHODS, MIN_WIDTH, MODES, NODE_PARAMETERS, NodeConfig, PROJECTIONS,
-    RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW, view_parameters, ViewConfig,
-    YAW_FOLLOW)
+    ANCHORED, configured_views, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW,
+    IMU, ImuConfig, LensConfig, LEVELS, LOCK, METHODS, MIN_WIDTH, MODES, NODE_PARAMETERS,
+    NodeConfig, PROJECTIONS, RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW,
+    view_parameters, ViewConfig, YAW_FOLLOW)
 
 __all__ = [
-    'ANCHORED', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME', 'FisheyeConfig', 'FLOWS',
-    'FOLLOW', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS', 'LOCK', 'METHODS',
-    'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options', 'PROJECTIONS',
-    'RESERVED', 'SmoothingConfig', 'StabilizerConfig', 'TrackerConfig', 'VIEW', 'view_parameters',
-    'ViewConfig', 'with_option', 'YAW_FOLLOW']
+    'ANCHORED', 'ConfigError', 'configured_views', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME',
+    'FisheyeConfig', 'FLOWS', 'FOLLOW', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS',
+    'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options',
+    'PROJECTIONS', 'RESERVED', 'SmoothingConfig', 'StabilizerConfig', 'TrackerConfig', 'VIEW',
+    'view_parameters', 'ViewConfig', 'with_option', 'YAW_FOLLOW']

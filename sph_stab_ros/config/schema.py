@@ -29,7 +29,8 @@ MODES = (LOCK, FOLLOW, YAW_FOLLOW)
 VIEW = 'view'
 VIEW_NAME = '[A-Za-z]([A-Za-z0-9]|_(?!_))*'
 # Roots of topics and of rclpy's own parameters.
-RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized')
+RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized',
+            'virtual_orientation')
 EQUIRECT = 'equirect'
 DUAL_FISHEYE = 'dual_fisheye'
 PROJECTIONS = (EQUIRECT, DUAL_FISHEYE)
@@ -223,6 +224,12 @@ def view_parameters(name: str) -> dict[str, Option]:
     """Return the parameters of the view of a name: their names and Options of ViewConfig."""
     return {f'{name}.{one.name}': replace(one, default=f'{name}_optical')
             if one.name == 'frame_id' else one for one in options(ViewConfig)}
+
+
+def configured_views(config):
+    """Return the ViewConfig of each view of a NodeConfig, by name; VIEW's is its own."""
+    return {name: config.view if name == VIEW else ViewConfig(frame_id=f'{name}_optical')
+            for name in config.views}
 
 
 # The node's parameters by name. The tracker's have no prefix, as on the command lines.

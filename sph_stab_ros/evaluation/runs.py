@@ -29,7 +29,7 @@ from sph_stab_ros.evaluation.alignment import (
 from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabilizer
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vectors
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA, R_CAMERA_BODY
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording
@@ -120,7 +120,7 @@ def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation
     """
     time_s = (stamps_ns - stamps_ns[0]) / NS_PER_S
     true, estimated = (
-        R_BODY_CAMERA * (R[0].inv() * R) * R_BODY_CAMERA.inv()
+        R_BODY_CAMERA * (R[0].inv() * R) * R_CAMERA_BODY
         for R in (R_mocap_camera, R_world_camera))
     error = (estimated * true.inv()).as_rotvec(degrees=True)
     true_turns, estimated_turns = (R[:-1].inv() * R[1:] for R in (true, estimated))

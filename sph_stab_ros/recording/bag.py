@@ -17,6 +17,7 @@ from typing import Any
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import get_typestore, Stores
 
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import image_from_message, ImageError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording.base import RecordingError, SkipLog
@@ -70,7 +71,7 @@ class BagRecording:
         self._skip_log = SkipLog(self.name)
         said_zero = False
         for received_ns, msg in self.messages(self._images):
-            stamp_ns = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec
+            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
             if stamp_ns == 0:
                 stamp_ns = received_ns
                 if not said_zero:

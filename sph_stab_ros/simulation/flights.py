@@ -25,7 +25,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import R_BODY_CAMERA, R_CAMERA_BODY
 
 ROOM_SIZE_M = (8.0, 6.0, 3.2)
 HALL_SIZE_M = (9.0, 6.0, 2.8)
@@ -121,7 +121,7 @@ def handheld(logs, frames=500):
     the log played twice as fast, at about 0.45 m/s.
     """
     t, R_log_optical = _read_rotations(logs / 'tum_fr2desk_handheld.csv')
-    angles = _body_angles(R_log_optical * R_BODY_CAMERA.inv())
+    angles = _body_angles(R_log_optical * R_CAMERA_BODY)
     times, angles, positions = _window(
         t / 2.0, angles, _read_positions(logs / 'tum_fr2desk_handheld_pos.csv'), start_s=31.0)
     # The log is rounded to 1e-4, which would shake the camera at 200 Hz.
@@ -140,7 +140,7 @@ def pioneer(logs, frames=500, seed=0):
     by up to 0.4° between 3 and 9 Hz.
     """
     t, R_log_optical = _read_rotations(logs / 'kitti00_car.csv')
-    angles = _body_angles(R_BODY_CAMERA * R_log_optical * R_BODY_CAMERA.inv())
+    angles = _body_angles(R_BODY_CAMERA * R_log_optical * R_CAMERA_BODY)
     times, angles, _ = _window(t / 1.6, angles, np.zeros((len(t), 3)), start_s=204.0)
     yaw = gaussian_filter1d(angles[:, 0], 0.15 * _LOG_RATE_HZ) + np.deg2rad(125.0)
     shake = _harmonics(np.random.default_rng(seed), 3, 3.0, 9.0)(times)

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
-from sph_stab_ros.images.codec import encode_jpeg, jpeg_format
+from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
+from sph_stab_ros.recording.messages import compressed_image
 from sph_stab_ros.recording.output import partial_output
 
 IMAGE_TOPIC = '/theta/image_raw/compressed'
@@ -29,7 +29,7 @@ CAMERA_FRAME = 'theta_camera'
 TRUTH_FRAME = 'mocap'
 
 # Markers never sit straight: an upright body, put on with a few odd degrees and centimetres.
-R_CAMERA_MARKERS = R_BODY_CAMERA.inv() * Rotation.from_euler('ZYX', (7.0, -4.0, 2.5), degrees=True)
+R_CAMERA_MARKERS = R_CAMERA_BODY * Rotation.from_euler('ZYX', (7.0, -4.0, 2.5), degrees=True)
 P_CAMERA_MARKERS_M = np.array((0.03, 0.09, -0.05))
 
 _TRUTH_PERIOD_NS = 10_000_000
@@ -101,9 +101,8 @@ def read_frames(folder, flight, whole_flight):
 
 
 def _write_image(bag, stamp_ns, image, quality):
-    bag.write(IMAGE_TOPIC, bag.type('sensor_msgs/msg/CompressedImage')(
-        header=bag.header(stamp_ns, CAMERA_FRAME), format=jpeg_format(image),
-        data=encode_jpeg(image, quality)), stamp_ns)
+    bag.write(IMAGE_TOPIC, compressed_image(bag.make, stamp_ns, CAMERA_FRAME, image, quality),
+              stamp_ns)
 
 
 def _write_pose(bag, stamp_ns, R_mocap_markers, position_m):

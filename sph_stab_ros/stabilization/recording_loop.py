@@ -18,6 +18,7 @@ from typing import Any, Protocol
 
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording, RecordingError
@@ -52,7 +53,7 @@ class Summary:
             self.events[event.value] += 1
             if self.events[event.value] == 1:
                 logger.warning('picture %d at %.3f s: %s (more of these are only counted)',
-                               self.frames, stabilized.stamp_ns / 1e9, event.value)
+                               self.frames, stabilized.stamp_ns / NS_PER_S, event.value)
         if self.R_world_camera is not None:
             self.turned_rad += (self.R_world_camera.inv() * stabilized.R_world_camera).magnitude()
         self.R_world_camera = stabilized.R_world_camera

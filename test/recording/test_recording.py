@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.images.codec import encode_jpeg
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
+from sph_stab_ros.recording.messages import camera_info
 from tiny_recordings import IMAGE_TOPIC, stamps_of, START_NS, textured_sphere, write_bag
 
 IMAGE = textured_sphere()
@@ -313,7 +314,8 @@ def test_results_are_read_back_from_a_bag(tmp_path):
     with BagWriter(tmp_path / 'bag') as bag:
         bag.write_orientation('orientation', START_NS, 'stabilized', R)
         bag.write_jpeg('stabilized/image/compressed', START_NS, 'stabilized', IMAGE)
-        bag.write_camera_info('view/camera_info', START_NS, 'view', np.pi / 2, (640, 480))
+        bag.write('view/camera_info',
+                  camera_info(bag.make, START_NS, 'view', np.pi / 2, (640, 480)), START_NS)
     recording = open_recording(tmp_path / 'bag')
     (received_ns, msg), = recording.messages('orientation')
     q = msg.quaternion
