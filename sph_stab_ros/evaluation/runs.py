@@ -26,6 +26,7 @@ from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabiliz
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 from sph_stab_ros.tracking import TrackingStatus
 
@@ -134,6 +135,10 @@ class Run:
         self._stamps_ns, self._rotations, self._times_s = [], [], []
         self._lost = 0
 
+    def add_imu(self, sample):
+        """Take in an ImuSample."""
+        self._stabilizer.add_imu(sample)
+
     def process(self, frame):
         """Return the StabilizedFrame of a Frame."""
         start_s = perf_counter()
@@ -166,9 +171,12 @@ class Run:
 
 
 def evaluate_against_truth(recording, configs, truth, R_body_camera=None, clock_offset_ns=0,
-                           max_frames=None, progress=lambda name, frames: frames):
+                           max_frames=None, progress=lambda name, frames: frames,
+                           imu_topic=None):
     """
     Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
+
+    Each is fed the samples of an IMU where ``imu_topic`` names one.
 
     Mount and clock offset, where they are None, are those that the estimator gives which follows
     the truth best: they belong to the recording, and a bad estimator must neither suffer from nor
@@ -178,7 +186,8 @@ def evaluate_against_truth(recording, configs, truth, R_body_camera=None, clock_
     for name, config in configs.items():
         runs[name] = Run(config)
         stabilize_recording(recording, runs[name], max_frames=max_frames,
-                            progress=lambda frames: progress(name, frames))
+                            progress=lambda frames: progress(name, frames),
+                            imu=RecordedImu(recording, imu_topic) if imu_topic else None)
     found, failures = [], []
     for run in runs.values():
         try:

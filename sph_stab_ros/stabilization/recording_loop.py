@@ -45,7 +45,8 @@ class Summary:
         self.R_world_camera = stabilized.R_world_camera
 
 
-def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progress=iter):
+def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progress=iter,
+                        imu=None):
     """
     Stabilise a Recording frame by frame and return the Summary.
 
@@ -61,6 +62,8 @@ def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progre
         How many pictures to read; all by default.
     progress : callable
         Passes on the iterator of frames that it is given, and may tell of it.
+    imu : RecordedImu, optional
+        Its samples go to the stabilizer, each before the first picture that is not earlier.
 
     Raises
     ------
@@ -71,6 +74,9 @@ def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progre
     summary = Summary()
     with closing(recording.frames()) as frames:
         for frame in progress(islice(frames, max_frames)):
+            if imu is not None:
+                for sample in imu.until(frame.stamp_ns):
+                    stabilizer.add_imu(sample)
             try:
                 stabilized = stabilizer.process(frame)
             except ProjectionError as error:

@@ -28,6 +28,11 @@ def working_width(config):
     return ANCHORED_WIDTH if config.estimator == ANCHORED else FRAME_TO_FRAME_WIDTH
 
 
+def check_mask(config):
+    """Raise MaskError where the mask of a TrackerConfig cannot be used."""
+    load_mask(config.mask, working_width(config))
+
+
 def make_tracker(config, width, gyro_rotation=no_gyro):
     """
     Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
