@@ -21,8 +21,7 @@ import sys
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.command_line import (
-    add_imu_topic, add_recording, frames_to_read, Parser, run)
+from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, refuse_bad_mask,
     settings_from, TRACKER_OPTIONS)

@@ -9,7 +9,6 @@
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 import re
 import sys
@@ -17,11 +16,10 @@ import time
 
 import numpy as np
 
-from sph_stab_ros.command_line import (
-    add_imu_topic, add_recording, frames_to_read, Parser, run)
+from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
 from sph_stab_ros.command_line.parameters import (
-    add_calibration, add_parameters, add_shorthands, given_parameters, settings_from,
-    SetParameters, TRACKER_OPTIONS)
+    add_calibration, add_parameters, add_shorthands, given_parameters, SetParameters,
+    settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import ANCHORED, ConfigError, IMU, VIEW, VIEW_NAME
 from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.front_marker import mark_sphere, mark_view
@@ -49,12 +47,14 @@ def video_sink(path, force, stack, picture):
     return lambda s: writer.write(picture(s), s.stamp_ns)
 
 
-def bag_sink(path, force, stack, config):
+def bag_sink(path, force, stack, settings):
     """Return a sink that writes what the node publishes into a rosbag2 folder."""
     from sph_stab_ros.recording.bag_writer import BagWriter
     writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
-    world, view = config.stabilized_frame, config.view.frame_id
-    R_world_view, hfov_rad, size_wh = view_geometry(config.view)
+    config = settings.config
+    shown = settings.views[config.views[0]]
+    world, view = config.stabilized_frame, shown.frame_id
+    R_world_view, hfov_rad, size_wh = view_geometry(shown)
 
     def write(s):
         stamp_ns = s.stamp_ns
@@ -68,10 +68,11 @@ def bag_sink(path, force, stack, config):
 
 def output_sink(args, settings, stack):
     """Return the sink for OUT."""
-    config, view = settings.config, shown_view(args, settings)
     if args.out.suffix != '.mp4':
-        return bag_sink(args.out, args.force, stack, replace(config, view=view))
-    R_virtual_view, hfov_rad, size_wh = view_geometry(view)
+        return bag_sink(args.out, args.force, stack, settings)
+    config = settings.config
+    shown = settings.views[viewed(args.view) if args.view else config.views[0]]
+    R_virtual_view, hfov_rad, size_wh = view_geometry(shown)
     front_yaw_rad = np.deg2rad(config.front_yaw_deg)
 
     def picture(s):
@@ -87,11 +88,6 @@ def output_sink(args, settings, stack):
             mark_view(image, (s.R_camera_virtual * R_virtual_view).inv(), front_yaw_rad, hfov_rad)
         return image
     return video_sink(args.out, args.force, stack, picture)
-
-
-def shown_view(args, settings):
-    """Return the ViewConfig that --view means, that of the first view without it."""
-    return settings.views[viewed(args.view) if args.view else settings.config.views[0]]
 
 
 def view_geometry(view):
@@ -158,12 +154,13 @@ def arguments(argv):
     parser.add_argument('--side-by-side', action='store_true',
                         help='an .mp4 of sphere, front and back view, recorded and stabilised')
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
-    group = add_parameters(parser, 'All count as in the node but those of topics and of steering')
+    group = add_parameters(
+        parser, 'All count as in the node but those of topics and of steering')
     group.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', action=SetParameters,
                        read=view_argument,
-                       help='where the perspective view looks, in degrees (--view=-30,0,0,90: with '
-                       '= before a minus); an .mp4 shows it instead of the sphere. The name of '
-                       'one of the views shows that as it is')
+                       help='where the perspective view looks, in degrees (--view=-30,0,0,90: '
+                       'with = before a minus), or the name of one of the views; an .mp4 shows '
+                       'it instead of the sphere')
     group.add_argument('--smoothing', metavar='MODE[:SECONDS]', action=SetParameters,
                        read=smoothing_argument,
                        help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
@@ -171,7 +168,8 @@ def arguments(argv):
     add_shorthands(group, ('projection',))
     add_calibration(group)
     add_shorthands(group, TRACKER_OPTIONS)
-    args = parser.parse_args(argv)
+    # OUT may stand behind options too.
+    args = parser.parse_intermixed_args(argv)
     if args.out is None and (args.view or args.side_by_side):
         parser.error('--view and --side-by-side need OUT')
     if args.out is not None and args.out.suffix not in ('', '.mp4'):

@@ -134,6 +134,16 @@ def test_replay_of_bags_needs_no_optional_module():
     subprocess.run([sys.executable, '-c', code], cwd=ROOT, check=True, timeout=60)
 
 
+def test_what_runs_on_the_robot_starts_without_a_library_for_yaml():
+    """ROS reads the files for them, and package.xml names none."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed')
+    pytest.importorskip('aiohttp', reason='aiohttp is not installed')
+    modules = [f'{PACKAGE}.{name}' for name in ('stabilizer', 'player', 'operator.__main__')]
+    code = ("import importlib, sys; sys.modules['ruamel'] = None;"
+            f'list(map(importlib.import_module, {modules}))')
+    subprocess.run([sys.executable, '-c', code], cwd=ROOT, check=True, timeout=60)
+
+
 def find_colcon():
     """Return the path of colcon, of this very Python if it has one, or None."""
     beside_python = Path(sys.executable).with_name('colcon')

@@ -9,8 +9,8 @@
 """
 The node's parameters on a command line: from files, by ``-p``, and by shorthands for some.
 
-Names, values and their limits are those of ``config``. Files are merged as ROS does it; what stands
-on the command line itself wins over them, and there the later over the earlier.
+Names, values and their limits are those of ``config``. Files are merged as ROS does it; what
+stands on the command line itself wins over them, and there the later over the earlier.
 """
 
 import argparse

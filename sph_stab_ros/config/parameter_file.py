@@ -98,9 +98,9 @@ def _own(path):
         raise ConfigError(f"'{path}': {error}") from None
     if not sections:
         raise ConfigError(f"'{path}' has no parameters of the {NODE}")
-    named = [name for name, _ in sections if '*' not in name]
-    if len(set(named)) > 1:
-        raise ConfigError(f"'{path}' has parameters of several nodes: {', '.join(named)}")
+    named = {'/' + name.lstrip('/') for name, _ in sections if '*' not in name}
+    if len(named) > 1:
+        raise ConfigError(f"'{path}' has parameters of several nodes: {', '.join(sorted(named))}")
     return sections
 
 
@@ -110,7 +110,7 @@ def _sections(content, name='') -> Iterator[tuple[str, dict[str, Any]]]:
         raise ConfigError(f'{name} has no {PARAMETERS}' if name else f'no {PARAMETERS}')
     for key, value in content.items():
         if key != PARAMETERS:
-            yield from _sections(value, f'{name}/{key.strip("/")}')
+            yield from _sections(value, f'{name}/{key}' if name else key)
         elif isinstance(value, dict):
             yield name, value
         else:

@@ -22,7 +22,7 @@ MAX_DISORDER = 100
 
 
 def find_imu_topic(recording, wanted=None):
-    """Return the topic ``wanted``, or the only one of an IMU; RecordingError if it is not clear."""
+    """Return the topic ``wanted``, or the only one of an IMU, or raise RecordingError."""
     topics = sorted(topic for topic, msgtype in recording.topics.items() if msgtype == IMU_TYPE)
     listed = ', '.join(topics) or 'none'
     if wanted is not None:
@@ -43,8 +43,9 @@ class RecordedImu:
     """
     The ImuSamples of a Recording's topic, handed out in the order of their stamps.
 
-    ``samples`` and ``refused`` count the messages so far, those that are none among the latter.
-    Few are held at a time.
+    ``samples`` counts those handed out, ``refused`` the messages that are no samples. Few are
+    held at a time. Where stamps go back for good, as when a recording was recorded once more,
+    none follow until the pictures have caught up.
     """
 
     def __init__(self, recording, topic):
