@@ -39,10 +39,11 @@ class SetParameters(argparse.Action):
         super().__init__(*args, **kwargs)
         self._read = read
 
-    def __call__(self, parser, namespace, text, option_string=None):
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, text: Any,
+                 option_string: str | None = None) -> None:
         """Take them over those set so far, and keep the text."""
         try:
-            found = self._read(text, option_string)
+            found = self._read(text, option_string or self.dest)
         except ConfigError as error:
             raise argparse.ArgumentError(self, str(error)) from None
         namespace.parameters = namespace.parameters | found
@@ -75,7 +76,7 @@ def add_shorthands(group: argparse._ArgumentGroup, names: Iterable[str]) -> None
         option = NODE_PARAMETERS[name]
         kind = type(option.default)
 
-        def read(text, flag, name=name, kind=kind):
+        def read(text: str, flag: str, name: str = name, kind: type = kind) -> Parameters:
             try:
                 return {name: (flag, kind(text))}
             except ValueError:
@@ -101,9 +102,11 @@ def add_calibration(group: argparse._ArgumentGroup) -> None:
 def given_parameters(parser: argparse.ArgumentParser, args: argparse.Namespace) -> Parameters:
     """Return what parsed arguments say of parameters; exit 2 where a file is unreadable."""
     try:
-        return read_parameter_files(args.params_file) | args.parameters
+        from_files: Parameters = read_parameter_files(args.params_file)
     except ConfigError as error:
         parser.error(f'--params-file: {error}')
+    given: Parameters = args.parameters
+    return from_files | given
 
 
 def settings_from(parser: argparse.ArgumentParser, parameters: Parameters) -> Settings:
@@ -125,7 +128,7 @@ def refuse_bad_mask(parser: argparse.ArgumentParser, parameters: Parameters,
         parser.error(f'{parameters["mask"][0]}: {error}')
 
 
-def _assignment(text, flag):
+def _assignment(text: str, flag: str) -> Parameters:
     """Return the parameter in ``NAME:=VALUE``."""
     name, assigned, value = text.partition(':=')
     if not (name and assigned and value):

@@ -18,7 +18,7 @@ from pathlib import Path
 from textwrap import indent, wrap
 from typing import Any
 
-from sph_stab_ros.config.options import ConfigError
+from sph_stab_ros.config.options import ConfigError, Option
 from sph_stab_ros.config.ros_yaml import parse_yaml
 from sph_stab_ros.config.schema import NODE_PARAMETERS
 
@@ -37,9 +37,9 @@ HEADER = """\
 """
 
 
-def parameter_file():
+def parameter_file() -> str:
     """Return the text of the YAML file."""
-    groups = {}
+    groups: dict[str, list[str]] = {}
     for name, option in NODE_PARAMETERS.items():
         group, _, key = name.rpartition('.')
         groups.setdefault(group, []).append(_entry(key, option))
@@ -49,21 +49,21 @@ def parameter_file():
     return HEADER + indent(text, '    ')
 
 
-def _entry(key, option):
+def _entry(key: str, option: Option) -> str:
     """Return the lines of one option: description, allowed values, default."""
     when = '' if option.live else ' (at start only)'
     lines = wrap(f'{option.description}{_allowed(option)}{when}.', width=88)
     return ''.join(f'# {line}\n' for line in lines) + f'{key}: {_yaml(option.default)}\n'
 
 
-def _yaml(value):
+def _yaml(value: Any) -> str:
     """Return a value as YAML has it."""
     if isinstance(value, bool):
         return str(value).lower()
     return repr(list(value) if isinstance(value, tuple) else value)
 
 
-def _allowed(option):
+def _allowed(option: Option) -> str:
     if option.choices:
         return ': ' + ', '.join(option.choices)
     return '' if option.minimum is None else f': {option.minimum:g} to {option.maximum:g}'
@@ -85,7 +85,7 @@ def read_parameter_files(paths: Iterable[Path]) -> dict[str, tuple[str, Any]]:
     return {name: found for parameters in nodes.values() for name, found in parameters.items()}
 
 
-def _own(path):
+def _own(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Return the sections of a file that are for the node: names and mappings."""
     try:
         content = parse_yaml(path.read_text())
@@ -104,7 +104,7 @@ def _own(path):
     return sections
 
 
-def _sections(content, name='') -> Iterator[tuple[str, dict[str, Any]]]:
+def _sections(content: Any, name: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield full names of nodes and the mappings of their parameters."""
     if not isinstance(content, dict):
         raise ConfigError(f'{name} has no {PARAMETERS}' if name else f'no {PARAMETERS}')
@@ -117,7 +117,7 @@ def _sections(content, name='') -> Iterator[tuple[str, dict[str, Any]]]:
             raise ConfigError(f'{PARAMETERS} of {name} have no names')
 
 
-def _flat(values, prefix=''):
+def _flat(values: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
     """Yield dotted names and values of nested mappings."""
     for key, value in values.items():
         if isinstance(value, dict):

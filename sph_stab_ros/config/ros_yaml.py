@@ -31,7 +31,8 @@ INT64_LIMIT = 2**63
 def parse_yaml(text: str) -> Any:
     """Return what a text of YAML holds, None where it is empty, or raise ConfigError."""
     # Not at the top: the node reads no YAML and starts without the library.
-    from ruamel.yaml import YAML, YAMLError
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
     try:
         node = YAML(typ='safe', pure=True).compose(text)
     except YAMLError as error:
@@ -51,7 +52,7 @@ def _value(node: Any) -> Any:
 
 
 def _scalar(node: Any) -> str | bool | int | float:
-    text = node.value
+    text: str = node.value
     if node.style in ('"', "'"):
         return text
     if not text:

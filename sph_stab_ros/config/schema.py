@@ -11,7 +11,7 @@
 from dataclasses import dataclass, fields
 import re
 
-from sph_stab_ros.config.options import Checked, ConfigError, option, options
+from sph_stab_ros.config.options import Checked, ConfigError, Option, option, options
 
 # The names that options choose from stand here, on the ground; the algorithms read them from here.
 ANCHORED = 'anchored'
@@ -219,12 +219,12 @@ class NodeConfig(StabilizerConfig):
                 raise ConfigError(f"'{name}' cannot be a view: something else has that name")
 
 
-def default_view(name):
+def default_view(name: str) -> ViewConfig:
     """Return the ViewConfig that the view of a name has by default."""
     return ViewConfig(frame_id=f'{name}_optical')
 
 
-def view_parameters(name):
+def view_parameters(name: str) -> dict[str, Option]:
     """Return the parameters of the view of a name: their names and Options of ViewConfig."""
     return {f'{name}.{one.name}': one for one in options(default_view(name))}
 

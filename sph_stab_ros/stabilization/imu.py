@@ -11,6 +11,7 @@
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -59,7 +60,7 @@ class ImuSample:
             raise ImuError('the specific force is zero')
 
 
-def imu_sample(msg, received_ns):
+def imu_sample(msg: Any, received_ns: int) -> ImuSample:
     """
     Return the ImuSample of a sensor_msgs Imu, of rclpy's or of a bag's; ImuError where it is none.
 
@@ -76,8 +77,8 @@ def imu_sample(msg, received_ns):
     return ImuSample(stamp_ns or received_ns, _xyz(force), _xyz(rate))
 
 
-def _xyz(vector):
-    return None if vector is None else (vector.x, vector.y, vector.z)
+def _xyz(vector: Any) -> np.ndarray | None:
+    return None if vector is None else np.array((vector.x, vector.y, vector.z), float)
 
 
 def mount_rotation(roll_rad, pitch_rad, yaw_rad):

@@ -8,11 +8,12 @@
 
 """An IMU's samples out of a bag, in time for its pictures."""
 
+from collections.abc import Iterable, Iterator
 from heapq import heappop, heappush
 import logging
 
-from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.stabilization.imu import imu_sample, ImuError
+from sph_stab_ros.recording import Recording, RecordingError
+from sph_stab_ros.stabilization.imu import imu_sample, ImuError, ImuSample
 
 logger = logging.getLogger(__name__)
 
@@ -21,7 +22,7 @@ IMU_TYPE = 'sensor_msgs/msg/Imu'
 MAX_DISORDER = 100
 
 
-def find_imu_topic(recording, wanted=None):
+def find_imu_topic(recording: Recording, wanted: str | None = None) -> str:
     """Return the topic ``wanted``, or the only one of an IMU, or raise RecordingError."""
     topics = sorted(topic for topic, msgtype in recording.topics.items() if msgtype == IMU_TYPE)
     listed = ', '.join(topics) or 'none'
@@ -48,20 +49,20 @@ class RecordedImu:
     none follow until the pictures have caught up.
     """
 
-    def __init__(self, recording, topic):
+    def __init__(self, recording: Recording, topic: str):
         self.topic = topic
         self.samples = self.refused = 0
         self._in_order = _sorted_by_stamp(self._read(recording))
         self._next = next(self._in_order, None)
 
-    def until(self, stamp_ns):
+    def until(self, stamp_ns: int) -> Iterator[ImuSample]:
         """Yield the samples not yet handed out that are no later than a picture's stamp."""
         while self._next is not None and self._next.stamp_ns <= stamp_ns:
             self.samples += 1
             yield self._next
             self._next = next(self._in_order, None)
 
-    def _read(self, recording):
+    def _read(self, recording: Recording) -> Iterator[ImuSample]:
         """Yield the ImuSamples in the order in which they were recorded."""
         for received_ns, msg in recording.messages(self.topic):
             try:
@@ -73,9 +74,9 @@ class RecordedImu:
                                    'counted)', recording.name, self.topic, error)
 
 
-def _sorted_by_stamp(samples):
+def _sorted_by_stamp(samples: Iterable[ImuSample]) -> Iterator[ImuSample]:
     """Yield samples in the order of their stamps, where none is MAX_DISORDER places off."""
-    heap = []
+    heap: list[tuple[int, int, ImuSample]] = []
     for number, sample in enumerate(samples):
         heappush(heap, (sample.stamp_ns, number, sample))
         if len(heap) > MAX_DISORDER:
