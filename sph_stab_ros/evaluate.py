@@ -240,7 +240,7 @@ def arguments(argv):
         except MaskError as error:
             parser.error(f'--body: {error}')
         if config.level == IMU:
-            parser.error('--inject turns the pictures but no IMU: level cannot be imu')
+            parser.error('--inject turns the pictures but no IMU: add -p level:=first_frame')
     elif args.body:
         parser.error('--body needs --inject')
     if args.estimators is None:

@@ -171,7 +171,7 @@ def test_black_frames_are_counted_as_lost(tmp_path):
     (['--every', 'nan'], '--every needs'),
     (['--max-frames', '0'], 'at least 1'),
     (['--mask', 'lat:5'], 'lat:FROM,TO'),
-    (['--inject', '1', '-p', 'level:=imu'], 'level cannot be imu'),
+    (['--inject', '1', '-p', 'level:=imu'], 'add -p level:=first_frame'),
     (['-p', 'level:=moon'], '-p: level is one of first_frame, imu'),
     (['--json', '/no/such/folder/a.json'], 'no folder'),
 ])
