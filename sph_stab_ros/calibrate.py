@@ -21,9 +21,10 @@ import sys
 import numpy as np
 
 from sph_stab_ros.calibration.dual_fisheye import calibrate, CalibrationError, for_size
-from sph_stab_ros.calibration.file import calibration_text, read_calibration
+from sph_stab_ros.calibration.file import calibration_text
 from sph_stab_ros.command_line import add_recording, frames_to_read, Parser, run
-from sph_stab_ros.config import ConfigError, FisheyeConfig
+from sph_stab_ros.command_line.parameters import (
+    add_calibration, add_parameters, given_parameters, settings_from)
 from sph_stab_ros.geometry.fisheye import fits
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.recording import open_recording, RecordingError
@@ -72,25 +73,21 @@ def report(recording, greys, calibration):
 
 
 def arguments(argv):
-    """Return the parsed command line and the start, a FisheyeConfig; exit 2 on a usage error."""
+    """Return the parsed command line and the Settings to start from; exit 2 on a usage error."""
     parser = Parser(prog='calibrate', description=__doc__)
     add_recording(parser, 'REC')
     parser.add_argument('--out', metavar='FILE.yaml', type=Path, required=True,
                         help='where to write the parameters of the node')
-    parser.add_argument('--calibration', metavar='FILE.yaml', type=Path,
-                        help="the calibration to start from (default: a Theta S's)")
     parser.add_argument('--force', action='store_true', help='replace FILE.yaml')
+    add_calibration(add_parameters(parser, 'The calibration to start from is fisheye.* of these'))
     args = parser.parse_args(argv)
-    try:
-        start = read_calibration(args.calibration) if args.calibration else FisheyeConfig()
-    except ConfigError as error:
-        parser.error(f'--calibration: {error}')
-    return args, start
+    return args, settings_from(parser, given_parameters(parser, args))
 
 
 def main(argv=None):
     """Run the command line; return the exit status."""
-    args, start = arguments(argv)
+    args, settings = arguments(argv)
+    start = settings.config.fisheye
 
     def command():
         recording = open_recording(args.recording, args.image_topic)

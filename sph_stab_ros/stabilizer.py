@@ -58,7 +58,7 @@ from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.ros.outputs import Outputs
-from sph_stab_ros.ros.parameters import declare_parameters, undeclared_overrides
+from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
 from sph_stab_ros.stabilization.pipeline import Stabilizer
@@ -154,7 +154,7 @@ class StabilizerNode(Node):
 
     def _check_parameters(self, parameters):
         try:
-            self._accepted_settings = self._settings.changed(parameters)
+            self._accepted_settings = changed(self._settings, parameters)
         except (ConfigError, MaskError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -171,6 +171,8 @@ def test_black_frames_are_counted_as_lost(tmp_path):
     (['--every', 'nan'], '--every needs'),
     (['--max-frames', '0'], 'at least 1'),
     (['--mask', 'lat:5'], 'lat:FROM,TO'),
+    (['--inject', '1', '-p', 'level:=imu'], 'add -p level:=first_frame'),
+    (['-p', 'level:=moon'], '-p: level is one of first_frame, imu'),
     (['--json', '/no/such/folder/a.json'], 'no folder'),
 ])
 def test_wrong_calls_exit_with_2(bag, capsys, argv, said):
@@ -182,6 +184,7 @@ def test_wrong_calls_exit_with_2(bag, capsys, argv, said):
     (['--truth', '/theta/image_raw/compressed'], 'truth is one of'),
     (['--truth', '/nothing'], 'no topic /nothing'),
     (['--clock-offset', '3600'], 'do not overlap'),
+    (['-p', 'level:=imu'], 'no IMU to level by'),
     (['--clock-offset', 'auto', '--max-frames', '1'], '1 frames are too few'),
 ])
 def test_failures_exit_with_1(bag, capsys, argv, said):

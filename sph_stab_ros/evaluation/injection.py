@@ -33,6 +33,7 @@ from sph_stab_ros.geometry.equirect import bearing_grid, pad_sphere, pixels_from
 from sph_stab_ros.geometry.masks import load_mask
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.stabilization.recording_loop import FrameProcessor
 
@@ -123,6 +124,10 @@ class ShakenStabilizer:
         self._R_camera_shaken = R_camera_shaken
         self._body = body
         self._R_world_camera: list[Rotation] = []
+
+    def add_imu(self, sample: ImuSample) -> None:
+        """Pass an ImuSample on to the clip's Stabilizer: what is injected no IMU has felt."""
+        self._clip.add_imu(sample)
 
     def process(self, frame: Frame) -> StabilizedFrame:
         """Process a Frame twice; return the StabilizedFrame of the shaken one."""

@@ -33,7 +33,9 @@ from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA, R_CAMERA_
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording
+from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
+from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 from sph_stab_ros.tracking import TrackingStatus
 
@@ -148,6 +150,10 @@ class Run:
         self._times_s: list[float] = []
         self._lost = 0
 
+    def add_imu(self, sample: ImuSample) -> None:
+        """Take in an ImuSample."""
+        self._stabilizer.add_imu(sample)
+
     def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of a Frame."""
         start_s = perf_counter()
@@ -182,10 +188,13 @@ class Run:
 def evaluate_against_truth(
         recording: Recording, configs: Mapping[str, StabilizerConfig], truth: Trajectory,
         R_body_camera: Rotation | None = None, clock_offset_ns: int | None = 0,
-        max_frames: int | None = None, progress: Progress = lambda name, frames: frames
+        max_frames: int | None = None, progress: Progress = lambda name, frames: frames,
+        imu_topic: str | None = None
         ) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
+
+    Each is fed the samples of an IMU where ``imu_topic`` names one.
 
     Mount and clock offset, where they are None, are those that the estimator gives which follows
     the truth best: they belong to the recording, and a bad estimator must neither suffer from nor
@@ -195,7 +204,8 @@ def evaluate_against_truth(
     for name, config in configs.items():
         runs[name] = Run(config)
         stabilize_recording(recording, runs[name], max_frames=max_frames,
-                            progress=lambda frames: progress(name, frames))
+                            progress=lambda frames: progress(name, frames),
+                            imu=RecordedImu(recording, imu_topic) if imu_topic else None)
     found, failures = [], []
     for run in runs.values():
         try:

@@ -22,13 +22,18 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording, RecordingError
+from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 
 logger = logging.getLogger(__name__)
 
 
 class FrameProcessor(Protocol):
     """A Stabilizer, or what stands in for one."""
+
+    def add_imu(self, sample: ImuSample) -> None:
+        """Take in an ImuSample; there are none unless the recording's IMU is asked for."""
 
     def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
@@ -62,7 +67,8 @@ class Summary:
 def stabilize_recording(
         recording: Recording, stabilizer: FrameProcessor,
         sinks: Iterable[Callable[[StabilizedFrame], Any]] = (), max_frames: int | None = None,
-        progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter) -> Summary:
+        progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter,
+        imu: RecordedImu | None = None) -> Summary:
     """
     Stabilise a Recording frame by frame and return the Summary.
 
@@ -78,6 +84,8 @@ def stabilize_recording(
         How many pictures to read; all by default.
     progress
         Passes on the iterator of frames that it is given, and may tell of it.
+    imu : RecordedImu, optional
+        Its samples go to the stabilizer, each before the first picture that is not earlier.
 
     Raises
     ------
@@ -88,6 +96,9 @@ def stabilize_recording(
     summary = Summary()
     with closing(recording.frames()) as frames:
         for frame in progress(islice(frames, max_frames)):
+            if imu is not None:
+                for sample in imu.until(frame.stamp_ns):
+                    stabilizer.add_imu(sample)
             try:
                 stabilized = stabilizer.process(frame)
             except ProjectionError as error:
