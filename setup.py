@@ -62,7 +62,7 @@ setup(
         ],
         'test': [
             'pytest>=7.4.4,<9',
-            # For the order of the rooms and for types (see pyproject.toml); newest that run on 3.10.
+            # For rooms and types (see pyproject.toml); the newest that run on 3.10.
             'import-linter>=2.1,<2.6',
             'mypy>=1.15,<1.19',
             # Drives the browser that is there; none of its own.
