@@ -13,15 +13,20 @@ The truth is the pose of a body of markers that sits on the camera somehow,
 ``R_mocap_markers = R_mocap_camera R_camera_markers``, at 100 Hz, between the frames.
 """
 
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bgr, Image, Stamps, Vector, Vectors
 from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
 from sph_stab_ros.recording.messages import compressed_image
 from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.simulation.flights import Flight
 
 IMAGE_TOPIC = '/theta/image_raw/compressed'
 TRUTH_TOPIC = '/vrpn/pose'
@@ -37,7 +42,7 @@ _TRUTH_PHASE_NS = 3_700_000
 _TRUTH_MARGIN_NS = 100_000_000  # truth before the first frame and after the last
 
 
-def truth(flight):
+def truth(flight: Flight) -> tuple[Stamps, Rotation, Vectors]:
     """Return stamps (N,) int64 in ns, ``R_mocap_markers`` and positions (N, 3) in metres."""
     first_ns = flight.stamps_ns[0]
     stamps_ns = np.arange(first_ns - _TRUTH_MARGIN_NS + _TRUTH_PHASE_NS,
@@ -48,7 +53,8 @@ def truth(flight):
             flight.p_mocap_camera(t_s) + R_mocap_camera.apply(P_CAMERA_MARKERS_M))
 
 
-def write_recording(path, flight, images, quality=80, force=False):
+def write_recording(path: Path, flight: Flight, images: Iterable[Image], quality: int = 80,
+                    force: bool = False) -> None:
     """
     Write a rosbag2 folder (MCAP) of a flight from its pictures, one for each frame.
 
@@ -84,7 +90,7 @@ def write_recording(path, flight, images, quality=80, force=False):
             _write_pose(bag, *pose)
 
 
-def read_frames(folder, flight, whole_flight):
+def read_frames(folder: Path, flight: Flight, whole_flight: Flight) -> Iterator[Bgr]:
     """
     Yield the pictures of a flight from a folder of rendered ones, ``000000.png`` and so on.
 
@@ -100,12 +106,13 @@ def read_frames(folder, flight, whole_flight):
         yield image
 
 
-def _write_image(bag, stamp_ns, image, quality):
+def _write_image(bag: BagWriter, stamp_ns: int, image: Image, quality: int) -> None:
     bag.write(IMAGE_TOPIC, compressed_image(bag.make, stamp_ns, CAMERA_FRAME, image, quality),
               stamp_ns)
 
 
-def _write_pose(bag, stamp_ns, R_mocap_markers, position_m):
+def _write_pose(
+        bag: BagWriter, stamp_ns: int, R_mocap_markers: Rotation, position_m: Vector) -> None:
     qx, qy, qz, qw = R_mocap_markers.as_quat()
     x, y, z = position_m
     pose = bag.type('geometry_msgs/msg/Pose')(

@@ -13,15 +13,24 @@ Plain NumPy: about 0.3 s for 640×320 on one core. No shadows, reflections or le
 what `RenderOptions` says; it serves tests and small recordings.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bgr, Floats, Mask, Values, Vector
 from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
 from sph_stab_ros.geometry.equirect import bearing_grid
+from sph_stab_ros.simulation.flights import Flight
+from sph_stab_ros.simulation.room import Box, Room
+
+# Directions and origins of rays, (3, h, w) or (3, h or 1, 1).
+Rays: TypeAlias = Floats
 
 _STITCH_AXIS = np.array([2.0, 2.0, 1.0]) / 3.0
 _EXPOSURE_STEP_S = 1.5
@@ -46,16 +55,18 @@ class RenderOptions:
     seed: int = 0
 
 
-def render(room, flight, t_s, width=640, options=RenderOptions()):
+def render(room: Room, flight: Flight, t_s: float, width: int = 640,
+           options: RenderOptions = RenderOptions()) -> Bgr:
     """
-    Return what the flight's camera sees at `t_s`: (width / 2, width, 3) uint8 BGR.
+    Return what the flight's camera sees at `t_s`: (width / 2, width, 3).
 
     Equal arguments give equal pictures, noise included.
     """
     if options.exposure_s > 0:
         moments = (np.arange(options.blur_samples) + 0.5) / options.blur_samples - 0.5
-        image = np.mean([_snapshot(room, flight, t_s + moment * options.exposure_s, width, options)
-                         for moment in moments], axis=0, dtype=np.float32)
+        image: Any = np.mean([
+            _snapshot(room, flight, t_s + moment * options.exposure_s, width, options)
+            for moment in moments], axis=0, dtype=np.float32)
     else:
         image = _snapshot(room, flight, t_s, width, options).astype(np.float32)
     step = np.random.default_rng([options.seed, int(t_s // _EXPOSURE_STEP_S)]).uniform(-1, 1)
@@ -65,13 +76,15 @@ def render(room, flight, t_s, width=640, options=RenderOptions()):
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def render_flight(room, flight, width=640, options=RenderOptions()):
+def render_flight(room: Room, flight: Flight, width: int = 640,
+                  options: RenderOptions = RenderOptions()) -> Iterator[Bgr]:
     """Yield the picture of every frame of a flight."""
     for t_s in flight.frame_times_s:
         yield render(room, flight, float(t_s), width, options)
 
 
-def _snapshot(room, flight, t_s, width, options):
+def _snapshot(
+        room: Room, flight: Flight, t_s: float, width: int, options: RenderOptions) -> Bgr:
     fine_width = width * options.supersampling
     camera_rays = _camera_rays(fine_width, options.stitch_error_deg)
     rows = fine_width // 2
@@ -102,12 +115,12 @@ def _snapshot(room, flight, t_s, width, options):
 class _Hits:
     """What every ray (h, w) meets first: a side, the place on it, distance and incidence."""
 
-    def __init__(self, shape):
+    def __init__(self, shape: tuple[int, ...]) -> None:
         self.distance = np.full(shape, np.inf, np.float32)
         self.side = np.zeros(shape, np.int32)
         self.x_m, self.y_m, self.cosine = (np.empty(shape, np.float32) for _ in range(3))
 
-    def enter_shell(self, box, rays, origins):
+    def enter_shell(self, box: Box, rays: Rays, origins: Rays) -> None:
         """Meet the room's own sides, from inside; every ray does."""
         lowest, highest = _corners(box, 0.0)
         with np.errstate(divide='ignore'):
@@ -122,7 +135,7 @@ class _Hits:
                      np.broadcast_to(origins, rays.shape).reshape(3, -1)
                      if origins.shape[1] > 1 else origins[:, :, 0])
 
-    def enter_box(self, box, t_s, rays, origins):
+    def enter_box(self, box: Box, t_s: float, rays: Rays, origins: Rays) -> None:
         """Meet a box from outside, where it is nearer than what was met so far."""
         lowest, highest = _corners(box, t_s)
         index = np.flatnonzero(_may_meet(lowest, highest, rays, origins))
@@ -139,7 +152,8 @@ class _Hits:
         self._record(index[met], box, (lowest, highest), axis[met], distance[met], d[:, met],
                      o if o.shape[1] == 1 else o[:, met])
 
-    def _record(self, index, box, corners, axis, distance, d, o):
+    def _record(self, index: Any, box: Box, corners: tuple[Vector, Vector], axis: NDArray[Any],
+                distance: Values, d: Floats, o: Floats) -> None:
         lowest, highest = corners
         x, y, z = o + distance * d
         along = np.where(axis == 0, d[0], np.where(axis == 1, d[1], d[2]))
@@ -155,7 +169,7 @@ class _Hits:
         self.cosine.reshape(-1)[index] = np.abs(along)
 
 
-def _may_meet(lowest, highest, rays, origins):
+def _may_meet(lowest: Vector, highest: Vector, rays: Rays, origins: Rays) -> Mask:
     """Tell which rays (h, w) pass through the sphere around a box; a few too many if rolling."""
     middle = origins.mean(axis=(1, 2))
     to_box = (lowest + highest) / 2 - middle
@@ -168,7 +182,7 @@ def _may_meet(lowest, highest, rays, origins):
     return (to_box / distance) @ rays.reshape(3, -1) > cosine
 
 
-def _corners(box, t_s):
+def _corners(box: Box, t_s: float) -> tuple[Vector, Vector]:
     """Lowest and highest corner (3,) of a box."""
     centre = box.centre_m(t_s)
     return ((centre - box.size_m / 2).astype(np.float32),
@@ -176,7 +190,7 @@ def _corners(box, t_s):
 
 
 @lru_cache(maxsize=4)
-def _camera_rays(width, stitch_error_deg):
+def _camera_rays(width: int, stitch_error_deg: float) -> Rays:
     """
     Directions (3, h, w) float32 in which the camera's pixels really look.
 
@@ -192,5 +206,5 @@ def _camera_rays(width, stitch_error_deg):
     return rays
 
 
-def _rotated(R, rays):
+def _rotated(R: Rotation, rays: Rays) -> Rays:
     return (R.as_matrix().astype(np.float32) @ rays.reshape(3, -1)).reshape(rays.shape)
