@@ -24,13 +24,13 @@ from sph_stab_ros.command_line.parameters import (
     settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import ANCHORED, ConfigError, IMU, VIEW, VIEW_NAME
 from sph_stab_ros.geometry.trajectory import tum_line
-from sph_stab_ros.images.front_marker import mark_sphere, mark_view
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.stabilization.outputs import (
-    configured_look, fits_into_tree, orientation_outputs, picture_outputs, VirtualCamera)
-from sph_stab_ros.stabilization.pipeline import Stabilizer, view_direction
+    configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
+    picture_outputs)
+from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 
@@ -58,8 +58,7 @@ def bag_sink(path, force, stack, settings):
     from sph_stab_ros.recording.bag_writer import BagWriter
     writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
     config = settings.config
-    cameras = [VirtualCamera(name, view, configured_look(view))
-               for name, view in settings.views.items()]
+    cameras = [configured_camera(name, view) for name, view in settings.views.items()]
 
     @cache
     def say_that_tree_is_missing(frame_id):
@@ -79,28 +78,14 @@ def output_sink(args, settings, stack):
     if args.out.suffix != '.mp4':
         return bag_sink(args.out, args.force, stack, settings)
     config = settings.config
-    shown = settings.views[viewed(args.view) if args.view else config.views[0]]
-    R_virtual_view, hfov_rad, size_wh = view_geometry(shown)
-    front_yaw_rad = np.deg2rad(config.front_yaw_deg)
+    name = viewed(args.view) if args.view else config.views[0]
+    camera = configured_camera(name, settings.views[name])
 
     def picture(s):
         if args.side_by_side:
-            return side_by_side(s, R_virtual_view, hfov_rad)
-        if args.view is None:
-            image = s.sphere()
-            if config.front_marker == 'all':
-                mark_sphere(image, s.R_camera_virtual.inv(), front_yaw_rad)
-            return image
-        image = s.view(R_virtual_view, hfov_rad, size_wh)
-        if config.front_marker != 'none':
-            mark_view(image, (s.R_camera_virtual * R_virtual_view).inv(), front_yaw_rad, hfov_rad)
-        return image
+            return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
+        return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
     return video_sink(args.out, args.force, stack, picture)
-
-
-def view_geometry(view):
-    """Return R_world_view, the field of view in radians and the size (w, h) of a ViewConfig."""
-    return view_direction(view), np.deg2rad(view.hfov_deg), (view.width, view.height)
 
 
 def report(summary, config, elapsed_s):

@@ -14,6 +14,7 @@ both work.
 """
 
 from array import array
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -141,7 +142,7 @@ def fill_compressed(msg: Any, image: Image, quality: int = JPEG_QUALITY) -> Any:
     return fill_message(msg, compressed_fields(image, quality))
 
 
-def fill_message(msg, fields):
+def fill_message(msg: Any, fields: Mapping[str, Any]) -> Any:
     """Fill a fresh rclpy message with values and arrays by the names of its fields; return it."""
     for name, value in fields.items():
         sequence = getattr(msg, name)

@@ -13,8 +13,13 @@ What ROS messages hold, the same in the node and in bags, without ROS.
 writer. Sequences of numbers are arrays.
 """
 
-import numpy as np
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.arrays import Covariance, Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.warp import focal_length_px
 from sph_stab_ros.images.codec import compressed_fields, image_fields, JPEG_QUALITY
@@ -27,23 +32,27 @@ QUATERNION = 'geometry_msgs/msg/QuaternionStamped'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 UNKNOWN_M2 = 1e9
 
+# From the name of a type and its fields to a message.
+Make: TypeAlias = Callable[..., Any]
 
-def header(make, stamp_ns, frame_id):
+
+def header(make: Make, stamp_ns: int, frame_id: str) -> Any:
     """Return a Header."""
     sec, nanosec = divmod(stamp_ns, NS_PER_S)
     return make('std_msgs/msg/Header', frame_id=frame_id,
                 stamp=make('builtin_interfaces/msg/Time', sec=sec, nanosec=nanosec))
 
 
-def orientation(make, stamp_ns, frame_id, R_frame_other):
+def orientation(make: Make, stamp_ns: int, frame_id: str, R_frame_other: Rotation) -> Any:
     """Return the QuaternionStamped of a Rotation."""
     return make(QUATERNION, header=header(make, stamp_ns, frame_id),
                 quaternion=_quaternion(make, R_frame_other))
 
 
-def pose(make, stamp_ns, frame_id, R_world_camera, covariance):
+def pose(make: Make, stamp_ns: int, frame_id: str, R_world_camera: Rotation,
+         covariance: Covariance) -> Any:
     """
-    Return the PoseWithCovarianceStamped of an orientation with its covariance (3, 3) in rad².
+    Return the PoseWithCovarianceStamped of an orientation with its covariance in rad².
 
     As REP 103 has it, the covariance is about the fixed axes of the header's frame, the world.
     The position is unknown, which the message can say by a variance beyond all use only.
@@ -58,7 +67,7 @@ def pose(make, stamp_ns, frame_id, R_world_camera, covariance):
             orientation=_quaternion(make, R_world_camera))))
 
 
-def transforms(make, stamp_ns, rotations):
+def transforms(make: Make, stamp_ns: int, rotations: Mapping[tuple[str, str], Rotation]) -> Any:
     """
     Return the TFMessage of Rotations ``R_parent_child`` by (parent, child).
 
@@ -72,7 +81,8 @@ def transforms(make, stamp_ns, rotations):
         for (parent, child), R_parent_child in rotations.items()])
 
 
-def camera_info(make, stamp_ns, frame_id, hfov_rad, size_wh):
+def camera_info(make: Make, stamp_ns: int, frame_id: str, hfov_rad: float,
+                size_wh: tuple[int, int]) -> Any:
     """Return the CameraInfo of a pinhole image with a horizontal field of view and size."""
     width, height = size_wh
     f = focal_length_px(hfov_rad, width)
@@ -86,17 +96,18 @@ def camera_info(make, stamp_ns, frame_id, hfov_rad, size_wh):
                  do_rectify=False))
 
 
-def image(make, stamp_ns, frame_id, picture):
+def image(make: Make, stamp_ns: int, frame_id: str, picture: Image) -> Any:
     """Return the Image of a picture, BGR or grey."""
     return make(IMAGE, header=header(make, stamp_ns, frame_id), **image_fields(picture))
 
 
-def compressed_image(make, stamp_ns, frame_id, picture, quality=JPEG_QUALITY):
+def compressed_image(make: Make, stamp_ns: int, frame_id: str, picture: Image,
+                     quality: int = JPEG_QUALITY) -> Any:
     """Return the CompressedImage of a picture, BGR or grey, as JPEG."""
     return make(COMPRESSED_IMAGE, header=header(make, stamp_ns, frame_id),
                 **compressed_fields(picture, quality))
 
 
-def _quaternion(make, rotation):
+def _quaternion(make: Make, rotation: Rotation) -> Any:
     x, y, z, w = rotation.as_quat().tolist()
     return make('geometry_msgs/msg/Quaternion', x=x, y=y, z=z, w=w)

@@ -12,15 +12,19 @@ What is published of each stabilised frame: the node's topics, and what a bag of
 Nothing is drawn or put into a message before somebody asks for it.
 """
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Any, Callable
+from typing import Any
 
 import numpy as np
-from sph_stab_ros.config import ViewConfig
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.config import NodeConfig, ViewConfig
+from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.images.front_marker import mark_sphere, mark_view
 from sph_stab_ros.recording import messages
-from sph_stab_ros.stabilization.pipeline import view_direction
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame, view_direction
 from sph_stab_ros.stabilization.steering import Look
 
 TRANSFORMS_TOPIC = '/tf'
@@ -37,7 +41,7 @@ class VirtualCamera:
     look: Look
 
     @property
-    def size_wh(self):
+    def size_wh(self) -> tuple[int, int]:
         """Width and height of its picture."""
         return self.view.width, self.view.height
 
@@ -52,11 +56,11 @@ class Output:
     """
 
     topic: str
-    message: Callable[[Callable], Any]
-    draw: Callable | None = None
+    message: Callable[[messages.Make], Any]
+    draw: Callable[[], Image] | None = None
 
 
-def topics(view_names):
+def topics(view_names: Iterable[str]) -> dict[str, str]:
     """Return the type of the messages on each topic, by its name."""
     pictures = {f'{name}/image': messages.IMAGE for name in ('stabilized', *view_names)}
     return {
@@ -69,12 +73,18 @@ def topics(view_names):
         **{f'{name}/camera_info': messages.CAMERA_INFO for name in view_names}}
 
 
-def configured_look(view):
+def configured_look(view: ViewConfig) -> Look:
     """Return the Look that a ViewConfig says."""
-    return Look(view_direction(view), np.deg2rad(view.hfov_deg))
+    return Look(view_direction(view), float(np.deg2rad(view.hfov_deg)))
 
 
-def orientation_outputs(stabilized, config, cameras):
+def configured_camera(name: str, view: ViewConfig) -> VirtualCamera:
+    """Return the VirtualCamera of a view that looks where its ViewConfig says."""
+    return VirtualCamera(name, view, configured_look(view))
+
+
+def orientation_outputs(stabilized: StabilizedFrame, config: NodeConfig,
+                        cameras: Sequence[VirtualCamera]) -> Iterator[Output]:
     """Yield the Outputs of a StabilizedFrame that cost little, under a NodeConfig."""
     stamp_ns, world = stabilized.stamp_ns, config.stabilized_frame
     R_world_camera = stabilized.R_world_camera
@@ -91,30 +101,33 @@ def orientation_outputs(stabilized, config, cameras):
             make, stamp_ns, rotations_in_tree(stabilized, config, cameras)))
 
 
-def picture_outputs(stabilized, config, cameras, raw=True):
+def picture_outputs(stabilized: StabilizedFrame, config: NodeConfig,
+                    cameras: Sequence[VirtualCamera], raw: bool = True) -> Iterator[Output]:
     """Yield the Outputs of a StabilizedFrame that show something; also ``raw`` images or not."""
     stamp_ns = stabilized.stamp_ns
     pictures = partial(_picture_outputs, stamp_ns=stamp_ns, quality=config.jpeg_quality, raw=raw)
     is_turned = stabilized.R_world_virtual.magnitude() > SAME_FRAME_RAD
     yield from pictures(
-        'stabilized/image', partial(_sphere, stabilized, config),
+        'stabilized/image', partial(draw_sphere, stabilized, config),
         frame_id=config.virtual_frame if is_turned else config.stabilized_frame)
     for camera in cameras:
         frame_id = camera.view.frame_id
-        yield from pictures(f'{camera.name}/image', partial(_view, stabilized, config, camera),
+        yield from pictures(f'{camera.name}/image', partial(draw_view, stabilized, config, camera),
                             frame_id=frame_id)
         yield Output(f'{camera.name}/camera_info', partial(
             messages.camera_info, stamp_ns=stamp_ns, frame_id=frame_id,
             hfov_rad=camera.look.hfov_rad, size_wh=camera.size_wh))
 
 
-def fits_into_tree(frame_id, config, cameras):
+def fits_into_tree(
+        frame_id: str, config: NodeConfig, cameras: Sequence[VirtualCamera]) -> bool:
     """Tell whether the images' frame can be the root: it has a name, and none of those below."""
     return frame_id not in ('', config.stabilized_frame, config.virtual_frame,
                             *(camera.view.frame_id for camera in cameras))
 
 
-def rotations_in_tree(stabilized, config, cameras):
+def rotations_in_tree(stabilized: StabilizedFrame, config: NodeConfig,
+                      cameras: Sequence[VirtualCamera]) -> dict[tuple[str, str], Rotation]:
     """
     Return R_parent_child by (parent, child): from the camera to the world, from there to others.
 
@@ -128,7 +141,8 @@ def rotations_in_tree(stabilized, config, cameras):
                for camera in cameras}}
 
 
-def _picture_outputs(topic, draw, frame_id, stamp_ns, quality, raw):
+def _picture_outputs(topic: str, draw: Callable[[], Image], frame_id: str, stamp_ns: int,
+                     quality: int, raw: bool) -> Iterator[Output]:
     draw = cache(draw)
     if raw:
         yield Output(
@@ -137,14 +151,16 @@ def _picture_outputs(topic, draw, frame_id, stamp_ns, quality, raw):
         make, stamp_ns, frame_id, draw(), quality), draw)
 
 
-def _sphere(stabilized, config):
+def draw_sphere(stabilized: StabilizedFrame, config: NodeConfig) -> Image:
+    """Return the virtual camera's sphere, with the front marked where it is wanted."""
     image = stabilized.sphere()
     if config.front_marker == 'all':
         mark_sphere(image, stabilized.R_camera_virtual.inv(), np.deg2rad(config.front_yaw_deg))
     return image
 
 
-def _view(stabilized, config, camera):
+def draw_view(stabilized: StabilizedFrame, config: NodeConfig, camera: VirtualCamera) -> Image:
+    """Return the picture of a view, with the front marked where it is wanted."""
     look = camera.look
     image = stabilized.view(look.R_virtual_view, look.hfov_rad, camera.size_wh)
     if config.front_marker != 'none':

@@ -14,10 +14,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.config import configured_views, NodeConfig, ViewConfig
+from sph_stab_ros.config import NodeConfig, ViewConfig
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.outputs import (
-    configured_look, orientation_outputs, picture_outputs, topics, VirtualCamera)
+    configured_camera, configured_look, orientation_outputs, picture_outputs, topics)
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.tracking import TrackingStatus
 from tiny_recordings import textured_sphere
@@ -27,8 +27,8 @@ STABILIZED = StabilizedFrame(
     Frame(textured_sphere(256), 5_000_000_006, 'theta'), R_WORLD_CAMERA, TrackingStatus.OK,
     covariance=np.eye(3), R_world_virtual=R_WORLD_VIRTUAL)
 CONFIG = NodeConfig(views=('view', 'rear'), view=ViewConfig(yaw_deg=30., hfov_deg=60.))
-CAMERAS = [VirtualCamera(name, view, configured_look(view))
-           for name, view in configured_views(CONFIG).items()]
+CAMERAS = [configured_camera('view', CONFIG.view),
+           configured_camera('rear', ViewConfig(frame_id='rear_optical'))]
 
 
 def make(type_name, **fields):
