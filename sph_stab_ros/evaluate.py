@@ -33,6 +33,7 @@ from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_inject
 from sph_stab_ros.evaluation.stitched import Stitched
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.masks import load_mask, MaskError
+from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
@@ -56,7 +57,10 @@ def evaluate(args, configs):
     spheres = Stitched(recording, next(iter(configs.values())))
     frames = frames_to_read(recording, args.max_frames)
     if args.plots:
-        make_plots_folder(args.plots)
+        make_folder(args.plots)
+        see_that_figures_can_be_drawn()
+    if args.tum:
+        make_folder(args.tum)
 
     def progress(name, pictures):
         # Shown on terminals only.
@@ -78,6 +82,8 @@ def evaluate(args, configs):
         if args.json:
             file.write_text(json.dumps(
                 {'recording': recording.name, **about, 'estimators': figures}, indent=2) + '\n')
+    if args.tum:
+        write_trajectories(args.tum, errors)
     if args.plots:
         draw(args.plots, spheres, errors)
 
@@ -134,13 +140,28 @@ def draw(folder, recording, errors):
         figures.draw(folder, recording.name, example)
 
 
-def make_plots_folder(folder):
-    """Make the folder and see that figures can be drawn, before all the work is done."""
+def write_trajectories(folder, errors):
+    """Write what the Errors by estimator compare, one file each, for other tools to compare."""
+    trajectories = {name.replace('/', '_'): one.estimate for name, one in errors.items()}
+    # The truth, at the frames' times and of the camera, is the same for all.
+    trajectories['truth'] = next(iter(errors.values())).truth
+    for name, trajectory in trajectories.items():
+        with partial_output(folder / f'{name}.tum', force=True) as path:
+            write_tum(path, trajectory)
+
+
+def make_folder(folder):
+    """Make the folder of an output before all the work is done."""
     try:
         folder.mkdir(exist_ok=True)
-        importlib.import_module('matplotlib')
     except OSError as error:
         raise RecordingError(f'{folder} cannot be written: {error.strerror}') from error
+
+
+def see_that_figures_can_be_drawn():
+    """Raise RecordingError if they cannot."""
+    try:
+        importlib.import_module('matplotlib')
     except ImportError:
         raise RecordingError(
             "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
@@ -214,6 +235,9 @@ def arguments(argv):
                         help='tell the error in the course of time too')
     parser.add_argument('--json', metavar='FILE', type=output_argument,
                         help='write the figures, replacing the file')
+    parser.add_argument('--tum', metavar='DIR', type=output_argument,
+                        help='write truth and estimates relative to the first frame into a '
+                        'folder as TUM files, truth.tum and ESTIMATOR.tum')
     parser.add_argument('--plots', metavar='DIR', type=output_argument,
                         help='draw figures into a folder')
     add_imu_topic(parser)
@@ -230,8 +254,8 @@ def arguments(argv):
     if args.json and args.json.is_dir():
         parser.error(f"--json needs a file, '{args.json}' is a folder")
     if args.inject is not None:
-        if args.truth or args.mount is not None or args.clock_offset != 0:
-            parser.error('--inject needs no --truth, --mount or --clock-offset')
+        if args.truth or args.mount is not None or args.clock_offset != 0 or args.tum:
+            parser.error('--inject needs no --truth, --mount, --clock-offset or --tum')
         if args.inject < 0:
             parser.error('--inject needs a SEED of 0 or more')
         args.body = config.tracker.mask if args.body is None else args.body

@@ -48,12 +48,15 @@ class Errors:
     """
     Errors of N orientations over time, each relative to the first.
 
+    ``truth`` and ``estimate`` are the Trajectories of R_first_camera, with the images' stamps;
     ``time_s`` (N,) starts at zero; ``truth_rpy_deg`` and ``estimate_rpy_deg`` (N, 3) are roll,
     pitch and yaw, without jumps; ``geodesic_deg`` (N,) is the angle of the rotation between truth
     and estimate; ``per_frame_deg`` (≤ N − 1,) that between their turns from one frame to the next;
     ``drift_deg_per_min`` the constant angular velocity that fits the error best.
     """
 
+    truth: Trajectory
+    estimate: Trajectory
     time_s: Values
     truth_rpy_deg: Vectors
     estimate_rpy_deg: Vectors
@@ -110,7 +113,8 @@ def compare(truth: Trajectory, estimate: Trajectory, alignment: Alignment) -> Er
     consecutive = np.diff(np.flatnonzero(known)) == 1
     if not consecutive.any():
         raise EvaluationError('no two consecutive frames have truth')
-    return errors(stamps_ns[known], R_mocap_camera, estimate.rotations[known], consecutive)
+    return errors(
+        estimate.stamps_ns[known], R_mocap_camera, estimate.rotations[known], consecutive)
 
 
 def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation,
@@ -121,14 +125,14 @@ def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation
     ``consecutive`` (N − 1,) bool tells which neighbours are consecutive frames.
     """
     time_s = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    true, estimated = (
-        R_BODY_CAMERA * (R[0].inv() * R) * R_CAMERA_BODY
-        for R in (R_mocap_camera, R_world_camera))
+    truth, estimate = (Trajectory(stamps_ns, R).relative_to_first()
+                       for R in (R_mocap_camera, R_world_camera))
+    true, estimated = (R_BODY_CAMERA * one.rotations * R_CAMERA_BODY for one in (truth, estimate))
     error = (estimated * true.inv()).as_rotvec(degrees=True)
     true_turns, estimated_turns = (R[:-1].inv() * R[1:] for R in (true, estimated))
     per_frame_rad = (true_turns.inv() * estimated_turns).magnitude()[consecutive]
     return Errors(
-        time_s, _roll_pitch_yaw_deg(true), _roll_pitch_yaw_deg(estimated),
+        truth, estimate, time_s, _roll_pitch_yaw_deg(true), _roll_pitch_yaw_deg(estimated),
         np.linalg.norm(error, axis=1), np.rad2deg(per_frame_rad),
         # Least squares of error(t) = drift · t, in the world, where a bias of the estimator adds
         # up.

@@ -115,7 +115,7 @@ def drone(logs: Path, frames: int = 500) -> Flight:
         t, angles, _read_positions(logs / 'euroc_V102_drone_pos.csv'), start_s=41.0)
     angles[:, 1] = _span(angles[:, 1], np.deg2rad(-15.0), np.deg2rad(15.0))
     angles[:, 2] = _span(angles[:, 2], np.deg2rad(-25.0), np.deg2rad(15.0))
-    positions = _fit(positions, ROOM_SIZE_M, clearance_m=0.9)
+    positions = fit_in_room(positions, ROOM_SIZE_M, clearance_m=0.9)
     return _sampled('drone', frames, ROOM_SIZE_M, times, angles, positions)
 
 
@@ -134,7 +134,7 @@ def handheld(logs: Path, frames: int = 500) -> Flight:
     angles, positions = (gaussian_filter1d(x, 0.03 * _LOG_RATE_HZ, axis=0)
                          for x in (angles, positions))
     angles[:, 1:] -= angles[:, 1:].mean(axis=0)
-    positions = _fit(positions, ROOM_SIZE_M, clearance_m=0.9)
+    positions = fit_in_room(positions, ROOM_SIZE_M, clearance_m=0.9)
     return _sampled('handheld', frames, ROOM_SIZE_M, times, angles, positions)
 
 
@@ -149,11 +149,11 @@ def pioneer(logs: Path, frames: int = 500, seed: int = 0) -> Flight:
     angles = _body_angles(R_BODY_CAMERA * R_log_optical * R_CAMERA_BODY)
     times, angles, _ = _window(t / 1.6, angles, np.zeros((len(t), 3)), start_s=204.0)
     yaw = gaussian_filter1d(angles[:, 0], 0.15 * _LOG_RATE_HZ) + np.deg2rad(125.0)
-    shake = _harmonics(np.random.default_rng(seed), 3, 3.0, 9.0)(times)
+    shake = harmonics(np.random.default_rng(seed), 3, 3.0, 9.0)(times)
     angles = np.stack([yaw, *(np.deg2rad(0.4) * shake[:, :2].T)], axis=1)
     step = 0.5 / _LOG_RATE_HZ * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
-    positions = _fit(np.column_stack([np.cumsum(step, axis=0), 0.002 * shake[:, 2]]),
-                     HALL_SIZE_M, clearance_m=0.9)
+    positions = fit_in_room(np.column_stack([np.cumsum(step, axis=0), 0.002 * shake[:, 2]]),
+                            HALL_SIZE_M, clearance_m=0.9)
     positions[:, 2] += 1.0 - positions[:, 2].mean()
     return _sampled('pioneer', frames, HALL_SIZE_M, times, angles, positions)
 
@@ -168,11 +168,11 @@ def synthetic(
     Each component of the rotation vector and of the position stays within its amplitude.
     """
     rng = np.random.default_rng(seed)
-    rotation = _harmonics(rng, 3, 1 / 60.0, max_frequency_hz)
-    translation = _harmonics(rng, 3, 1 / 60.0, max_frequency_hz)
+    rotation = harmonics(rng, 3, 1 / 60.0, max_frequency_hz)
+    translation = harmonics(rng, 3, 1 / 60.0, max_frequency_hz)
     middle = np.array([0.0, 0.0, ROOM_SIZE_M[2] / 2])
     return Flight(
-        name, frame_rate_hz, _stamps(frames, frame_rate_hz), ROOM_SIZE_M,
+        name, frame_rate_hz, frame_stamps_ns(frames, frame_rate_hz), ROOM_SIZE_M,
         lambda t: (Rotation.from_rotvec(np.deg2rad(rotation_amplitude_deg) * rotation(t))
                    * R_BODY_CAMERA),
         lambda t: middle + translation_amplitude_m * translation(t))
@@ -198,7 +198,7 @@ def shake(seed: int = 0, frames: int = 150, frame_rate_hz: float = 15.0,
     return flight(brentq(excess, 0.1, 90.0), frames)
 
 
-def _stamps(frames: int, frame_rate_hz: float) -> Stamps:
+def frame_stamps_ns(frames: int, frame_rate_hz: float) -> Stamps:
     return _EPOCH_NS + np.round(np.arange(frames) * (1e9 / frame_rate_hz)).astype(np.int64)
 
 
@@ -252,7 +252,7 @@ def _span(angle: Values, lowest: float, highest: float) -> Values:
     return spanned + lowest - spanned.min()
 
 
-def _fit(positions: Vectors, room_size_m: Size, clearance_m: float) -> Vectors:
+def fit_in_room(positions: Vectors, room_size_m: Size, clearance_m: float) -> Vectors:
     """Centre a path in the room, shrunk where it would come too close to the walls."""
     lowest, highest = positions.min(axis=0), positions.max(axis=0)
     room = np.array(room_size_m)
@@ -266,13 +266,13 @@ def _sampled(name: str, frames: int, room_size_m: Size, times: Values, angles: V
     if not 1 <= frames <= _LOG_FRAMES:
         raise ValueError(f'{name} has 1 to {_LOG_FRAMES} frames, not {frames}')
     return Flight(
-        name, _LOG_FRAME_RATE_HZ, _stamps(frames, _LOG_FRAME_RATE_HZ), room_size_m,
+        name, _LOG_FRAME_RATE_HZ, frame_stamps_ns(frames, _LOG_FRAME_RATE_HZ), room_size_m,
         RotationSpline(times, Rotation.from_euler('ZYX', angles) * R_BODY_CAMERA),
         CubicSpline(times, positions))
 
 
-def _harmonics(rng: np.random.Generator, components: int, lowest_hz: float,
-               highest_hz: float) -> Callable[[ArrayLike], Floats]:
+def harmonics(rng: np.random.Generator, components: int, lowest_hz: float,
+              highest_hz: float) -> Callable[[ArrayLike], Floats]:
     """Random periodic signals within ±1, period 60 s: times (...,) to (..., components)."""
     count = 12
     turns = rng.integers(max(1, round(60 * lowest_hz)), round(60 * highest_hz) + 1,

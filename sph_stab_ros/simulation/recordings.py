@@ -42,19 +42,20 @@ _TRUTH_PHASE_NS = 3_700_000
 _TRUTH_MARGIN_NS = 100_000_000  # truth before the first frame and after the last
 
 
-def truth(flight: Flight) -> tuple[Stamps, Rotation, Vectors]:
+def truth(flight: Flight, R_camera_markers: Rotation = R_CAMERA_MARKERS
+          ) -> tuple[Stamps, Rotation, Vectors]:
     """Return stamps (N,) int64 in ns, ``R_mocap_markers`` and positions (N, 3) in metres."""
     first_ns = flight.stamps_ns[0]
     stamps_ns = np.arange(first_ns - _TRUTH_MARGIN_NS + _TRUTH_PHASE_NS,
                           flight.stamps_ns[-1] + _TRUTH_MARGIN_NS, _TRUTH_PERIOD_NS)
     t_s = (stamps_ns - first_ns) * 1e-9
     R_mocap_camera = flight.R_mocap_camera(t_s)
-    return (stamps_ns, R_mocap_camera * R_CAMERA_MARKERS,
+    return (stamps_ns, R_mocap_camera * R_camera_markers,
             flight.p_mocap_camera(t_s) + R_mocap_camera.apply(P_CAMERA_MARKERS_M))
 
 
 def write_recording(path: Path, flight: Flight, images: Iterable[Image], quality: int = 80,
-                    force: bool = False) -> None:
+                    force: bool = False, R_camera_markers: Rotation = R_CAMERA_MARKERS) -> None:
     """
     Write a rosbag2 folder (MCAP) of a flight from its pictures, one for each frame.
 
@@ -70,10 +71,12 @@ def write_recording(path: Path, flight: Flight, images: Iterable[Image], quality
         Of the JPEG compression, 1 to 100.
     force : bool
         Whether to replace the folder; RecordingError if it exists otherwise.
+    R_camera_markers : Rotation
+        How the markers sit on the camera.
 
     """
     with partial_output(path, force) as partial, BagWriter(partial) as bag:
-        poses = list(zip(*truth(flight)))
+        poses = list(zip(*truth(flight, R_camera_markers)))
         written = 0
         for image in images:
             if written == len(flight.stamps_ns):

@@ -8,9 +8,9 @@
 
 """A furnished box room with people walking in it: made around a flight, never in its way."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,11 +22,23 @@ from sph_stab_ros.simulation.flights import Flight
 
 CLEARANCE_M = 0.4  # free space between the camera and whatever stands or walks in the room
 
-# The robot under its camera, in body coordinates: centres and sizes in metres.
-_ROBOT_PARTS = (((-0.04, 0.0, -0.44), (0.50, 0.44, 0.05)),
-                ((-0.04, 0.0, -0.82), (0.46, 0.40, 0.26)),
-                ((-0.24, 0.0, -0.28), (0.03, 0.03, 0.32)),
-                ((0.10, 0.08, -0.39), (0.22, 0.26, 0.05)))
+HEIGHT_M = (1.6, 1.85)  # of people
+
+# From a time, or times (N,), in seconds to where somebody's feet are, (3,) or (N, 3).
+Walk: TypeAlias = Callable[[Any], Floats]
+# Centres and sizes in metres.
+Parts: TypeAlias = tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]
+
+# What is under the camera, in body coordinates: centres and sizes in metres.
+ROBOT = (((-0.04, 0.0, -0.44), (0.50, 0.44, 0.05)),
+         ((-0.04, 0.0, -0.82), (0.46, 0.40, 0.26)),
+         ((-0.24, 0.0, -0.28), (0.03, 0.03, 0.32)),
+         ((0.10, 0.08, -0.39), (0.22, 0.26, 0.05)))
+# Somebody who holds the camera before the face: hand, arm, head, shoulders.
+BEARER = (((-0.01, 0.0, -0.12), (0.09, 0.10, 0.12)),
+          ((-0.15, -0.12, -0.26), (0.30, 0.09, 0.10)),
+          ((-0.42, 0.02, -0.02), (0.20, 0.17, 0.25)),
+          ((-0.42, 0.0, -0.45), (0.26, 0.46, 0.58)))
 _FLOOR_SIDE, _CEILING_SIDE = 4, 5
 
 
@@ -51,10 +63,14 @@ class Room:
     Two of the four walls are plain; with `plain_walls` all of them are, and the ceiling.
     `texels_per_m` trades sharpness for time and memory. Positions are in the frame `mocap`, the
     robot's in the body.
+
+    `people` stroll by themselves; each of `companions` walks on a path of its own, from times in
+    seconds (...,) to where the feet are (..., 3), in conspicuous clothes.
     """
 
     def __init__(self, flight: Flight, seed: int = 0, furniture: int = 14, people: int = 2,
-                 plain_walls: bool = False, texels_per_m: float = 200.0) -> None:
+                 plain_walls: bool = False, texels_per_m: float = 200.0,
+                 companions: Iterable[Walk] = (), carrier: Parts = ROBOT) -> None:
         self._rng = np.random.default_rng(seed)
         self._scale = texels_per_m
         self._textures: list[Bgr] = []
@@ -62,10 +78,17 @@ class Room:
         self._times_s = np.linspace(0, flight.duration_s, 2 + round(10 * flight.duration_s))
         self._path = flight.p_mocap_camera(self._times_s)
         self._occupied: list[tuple[Vector, Vector]] = []  # centres and sizes
-        self.boxes = self._furniture(furniture) + self._people(people)
+        self._feet = [walk(self._times_s) for walk in companions]
+        self.boxes = self._furniture(furniture)
+        for walk in companions:
+            self.boxes += self._person(self._rng.uniform(*HEIGHT_M), walk,
+                                       textures.outdoor_clothing)
+        for _ in range(people):
+            self.boxes += self._person(self._rng.uniform(*HEIGHT_M), self._free_walk(),
+                                       textures.clothing)
         self.shell = self._shell(plain_walls)
         self.robot = [self._box(np.array(size), np.array(centre), textures.machine)
-                      for centre, size in _ROBOT_PARTS]
+                      for centre, size in carrier]
         self.atlas = Atlas(self._textures, texels_per_m)
 
     def _shell(self, plain_walls: bool) -> Box:
@@ -114,22 +137,18 @@ class Room:
                 break
         return boxes
 
-    def _people(self, count: int) -> list[Box]:
-        """People of two boxes, body and head, each walking on an ellipse."""
+    def _person(self, height: float, walk: Walk, clothing: Any) -> list[Box]:
+        """Somebody of two boxes, body and head, whose feet are at `walk(t_s)` (3,)."""
         boxes = []
-        for _ in range(count):
-            height = self._rng.uniform(1.6, 1.85)
-            walk = self._free_walk()
-            for size, z, paint in (((0.42, 0.34, height - 0.25), (height - 0.25) / 2,
-                                    textures.clothing),
-                                   ((0.18, 0.2, 0.25), height - 0.125, textures.skin)):
-                def centre_m(t_s: float, z: float = z, walk: Any = walk) -> Vector:
-                    return np.append(walk(t_s), z)
-                boxes.append(self._box(np.array(size), centre_m, paint))
+        for size, z, paint in (((0.42, 0.34, height - 0.25), (height - 0.25) / 2, clothing),
+                               ((0.18, 0.2, 0.25), height - 0.125, textures.skin)):
+            def centre_m(t_s: float, above_feet: Vector = np.array([0.0, 0.0, z])) -> Vector:
+                return walk(t_s) + above_feet
+            boxes.append(self._box(np.array(size), centre_m, paint))
         return boxes
 
-    def _free_walk(self) -> Callable[[Any], Floats]:
-        """Path (2,) or (N, 2) over time of somebody who stays clear of the camera's."""
+    def _free_walk(self) -> Walk:
+        """Path (3,) or (N, 3) over time, an ellipse that stays clear of the camera's."""
         best: Any = None
         best_clearance = -np.inf
         for _ in range(200):
@@ -142,9 +161,10 @@ class Room:
             def walk(t_s: Any, middle: Any = middle, radii: Any = radii,
                      turn_rad_s: Any = turn_rad_s, phase: Any = phase) -> Floats:
                 angle = np.asarray(turn_rad_s * t_s + phase)
-                return middle + radii * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+                return np.stack([middle[0] + radii[0] * np.cos(angle),
+                                 middle[1] + radii[1] * np.sin(angle), 0 * angle], axis=-1)
 
-            places = walk(self._times_s)
+            places = walk(self._times_s)[:, :2]
             clearance = np.linalg.norm(places - self._path[:, :2], axis=1).min() - 0.3
             for centre, size in self._occupied:
                 gap = np.abs(places - centre[:2]) - size[:2] / 2 - 0.2
@@ -157,6 +177,8 @@ class Room:
 
     def _is_free(self, centre: Vector, size: Vector) -> bool:
         on_path = (np.abs(self._path - centre) < size / 2 + CLEARANCE_M).all(axis=1).any()
+        on_path |= any((np.abs(feet - centre)[:, :2] < size[:2] / 2 + 0.3).all(axis=1).any()
+                       for feet in self._feet)
         overlaps = any((np.abs(centre - c) < (size + s) / 2 + 0.02).all()
                        for c, s in self._occupied)
         return not on_path and not overlaps

@@ -221,6 +221,21 @@ def clothing(rng: Generator, w: int, h: int, scale: float) -> Texture:
     return image * (1 + 0.12 * smooth_noise(rng, w, h, 0.08 * scale)[..., None])
 
 
+def outdoor_clothing(rng: Generator, w: int, h: int, scale: float) -> Texture:
+    """Washed trousers below a gaudy jacket, with patches, pockets and prints all over."""
+    image = np.empty((h, w, 3), np.float32)
+    waist = round(0.45 * h)
+    image[:waist], image[waist:] = rng.uniform(70, 200, 3), rng.uniform(50, 130, 3)
+    patches = rng.uniform((0, 0, 0.02, 0.02, 0, 0, 0), (0.42, 1, 0.12, 0.15, 255, 255, 255),
+                          (25, 7))
+    for x_m, y, patch_w_m, patch_h_m, *colour in patches:
+        left, top = round(x_m * scale), round(y * h)
+        image[top:top + round(patch_h_m * scale), left:left + round(patch_w_m * scale)] = colour
+    for cell_m, strength in ((0.2, 0.15), (0.05, 0.15), (0.02, 0.12)):
+        image *= 1 + strength * smooth_noise(rng, w, h, cell_m * scale)[..., None]
+    return image
+
+
 def skin(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Return a head: skin below hair."""
     image = np.full((h, w, 3), (120, 150, 195), np.float32)
