@@ -27,7 +27,7 @@ from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.evaluation.runs import compare, evaluate_against_truth, increasing
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.geometry.warp import view_rotation
-from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.recording import decoded_frames, RecordingError
 from sph_stab_ros.tracking.factory import FRAME_TO_FRAME_WIDTH
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import (
     decompose, epipolar_distance, INLIER_RAD, MIN_INLIERS)
@@ -190,7 +190,7 @@ def references(recording, progress=lambda name, frames: frames):
     truth = read_truth(recording, find_truth_topic(recording))
     configs = {name: StabilizerConfig(TrackerConfig(estimator=name)) for name in (ANCHORED, 'pts')}
     alignment, _, figures = evaluate_against_truth(recording, configs, truth, progress=progress)
-    frames = list(recording.frames())
+    frames = list(decoded_frames(recording))
 
     def add(name, stamps_ns, rotations, elapsed_s, shown):
         errors = compare(truth, increasing(stamps_ns, rotations), alignment)

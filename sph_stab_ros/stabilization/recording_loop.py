@@ -16,6 +16,7 @@ import logging
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
+from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.recording import RecordingError
 
 logger = logging.getLogger(__name__)
@@ -46,7 +47,8 @@ class Summary:
         self.R_world_camera = stabilized.R_world_camera
 
 
-def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progress=iter):
+def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progress=iter,
+                        pictures=False):
     """
     Stabilise a Recording frame by frame and return the Summary.
 
@@ -62,6 +64,8 @@ def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progre
         How many pictures to read; all by default.
     progress : callable
         Passes on the iterator of frames that it is given, and may tell of it.
+    pictures : bool
+        Whether sinks ask for pictures, whose images are then decoded once, for tracking too.
 
     Raises
     ------
@@ -73,8 +77,10 @@ def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progre
     with closing(recording.frames()) as frames:
         for frame in progress(islice(frames, max_frames)):
             try:
+                if pictures:
+                    frame.load()
                 stabilized = stabilizer.process(frame)
-            except ProjectionError as error:
+            except (ImageError, ProjectionError) as error:
                 summary.left_out[error.reason] += 1
                 if summary.left_out[error.reason] == 1:
                     logger.warning('%s: picture left out, %s (more of these are only counted)',
