@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -294,6 +295,17 @@ def test_force_replaces(turning_bag, tmp_path):
         assert open_recording(tmp_path / 'out', 'view/image/compressed').frame_count == frames
         assert len(read_tum(tmp_path / 'out.tum')) == frames
     assert sorted(path.name for path in tmp_path.iterdir()) == ['out', 'out.tum']
+
+
+def test_no_more_is_decoded_than_is_shown_or_tracked(tmp_path):
+    """A trajectory takes a grey picture of what tracking takes; colour is for what is shown."""
+    bag = write_bag(tmp_path / 'bag', turning_spheres(3, width=1280)[0])
+    for out, flags in (([], cv2.IMREAD_REDUCED_GRAYSCALE_2),
+                       ([tmp_path / 'out'], cv2.IMREAD_ANYCOLOR)):
+        with mock.patch('cv2.imdecode', wraps=cv2.imdecode) as decode:
+            call(bag, *out, '--trajectory', tmp_path / 'out.tum', '--force')
+        asked = [call.args[1] & ~cv2.IMREAD_IGNORE_ORIENTATION for call in decode.mock_calls]
+        assert asked == 3 * [flags]
 
 
 def start(*args):
