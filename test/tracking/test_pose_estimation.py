@@ -11,6 +11,7 @@
 from dataclasses import replace
 
 import numpy as np
+from pose_points import HERE, points, POSITION, SIGMA_RAD, tangents
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -18,26 +19,6 @@ from sph_stab_ros.tracking.anchored.pose_estimation import (
     DOUBTFUL_SCALE, fit_depths, fit_pose, fit_pose_among_movers, MAX_INVERSE_DEPTH, MIN_SCALE,
     Points, STEP_TOLERANCE)
 from synthetic import angle_deg, random_rotation, unit
-
-POSITION = np.array((0.1, -0.05, 0.2))
-SIGMA_RAD = 1e-3
-HERE = np.zeros(3)
-
-
-def tangents(y):
-    """Return the sphere's unit directions (N, 2, 3) at y per standard deviation."""
-    first = unit(np.cross(y, (0.3, 0.5, 0.8)))
-    return np.stack((first, np.cross(y, first)), axis=1) / SIGMA_RAD
-
-
-def points(rng, R, position, count=400, noise_rad=0., information=1e6, spread=0.3):
-    """Return Points 1 to 5 away from origins spread around zero, seen from a pose."""
-    x = unit(rng.normal(size=(count, 3)))
-    origins = rng.uniform(-spread, spread, size=(count, 3))
-    rho = rng.uniform(0.2, 1, size=count)
-    y = unit(R.apply(x - rho[:, None] * (position - origins)))
-    y = unit(y + noise_rad * rng.normal(size=y.shape))
-    return Points(x, origins, rho, np.full(count, float(information)), y, tangents(y))
 
 
 def fit(seen, estimator=fit_pose, R=Rotation.identity(), position=HERE, sigma=1.):
