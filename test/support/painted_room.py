@@ -21,24 +21,28 @@ PERIOD_NS = 33_333_333
 HALF_ROOM = np.float32((3, 1.5, 2))
 
 
-@lru_cache(maxsize=1)
-def waves():
+# Waves on the walls, in radians per unit of length; the finest are 3 degrees long from 2 away.
+COARSE, FINE = (2, 16), (10, 60)
+
+
+@lru_cache(maxsize=2)
+def waves(paint):
     """Return wave vectors (3, K) and phases (K,) of the paint on the walls."""
     rng = np.random.default_rng(7)
-    frequencies = rng.uniform(2, 16, size=60)
+    frequencies = rng.uniform(*paint, size=60)
     vectors = frequencies[:, None] * unit(rng.normal(size=(60, 3)))
     return np.float32(vectors.T), np.float32(rng.uniform(0, 6.3, size=60))
 
 
-def room(R_world_camera, position=(0, 0, 0), width=WIDTH):
+def room(R_world_camera, position=(0, 0, 0), width=WIDTH, paint=COARSE):
     """Return the grey sphere (width / 2, width) that a camera sees in a painted box."""
     rays = bearing_grid(width) @ R_world_camera.as_matrix().T.astype(np.float32)
     rays = np.where(np.abs(rays) < 1e-6, np.float32(1e-6), rays)
     position = np.float32(position)
     distance = ((np.sign(rays) * HALF_ROOM - position) / rays).min(axis=-1)
-    vectors, phases = waves()
-    paint = np.sin((position + distance[..., None] * rays) @ vectors + phases).sum(axis=-1)
-    return np.uint8(np.clip(128 + 12 * paint, 0, 255))
+    vectors, phases = waves(paint)
+    grey = np.sin((position + distance[..., None] * rays) @ vectors + phases).sum(axis=-1)
+    return np.uint8(np.clip(128 + 12 * grey, 0, 255))
 
 
 def flight(frames, step_deg=(0.4, 0.9, -0.3), step=(0.02, 0.004, 0.01)):

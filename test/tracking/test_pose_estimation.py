@@ -256,3 +256,28 @@ def test_some_of_the_points_are_those_points():
     np.testing.assert_array_equal(some.y, seen.y[[0, 2, 3]])
     np.testing.assert_array_equal(some.sqrt_information, seen.sqrt_information[[0, 2, 3]])
     np.testing.assert_array_equal(some.origins, seen[[0, 2, 3]].origins)
+
+
+@pytest.mark.parametrize('estimator', (fit_pose, fit_pose_among_movers))
+@pytest.mark.parametrize('unit_ratio', (0.3, 7., 100.))
+def test_the_unit_of_length_does_not_matter(unit_ratio, estimator):
+    rng = np.random.default_rng(14)
+    R = random_rotation(rng, 2)
+    seen = points(rng, R, POSITION, noise_rad=SIGMA_RAD, information=10.)
+    guess = 0.5 * POSITION
+    plain = fit(seen, estimator, position=guess, sigma=0.5)
+    other = fit(replace(seen, origins=unit_ratio * seen.origins,
+                        inverse_depths=seen.inverse_depths / unit_ratio,
+                        information=unit_ratio ** 2 * seen.information),
+                estimator, position=unit_ratio * guess, sigma=0.5 * unit_ratio)
+    # The last step may be left out in one and not in the other.
+    left = other.R_camera_world * plain.R_camera_world.inv()
+    assert left.magnitude() < 2 * STEP_TOLERANCE
+    np.testing.assert_allclose(other.position / unit_ratio, plain.position,
+                               atol=2 * STEP_TOLERANCE)
+    np.testing.assert_allclose(other.inverse_depths * unit_ratio, plain.inverse_depths, atol=1e-3)
+    # Whatever the axes: of a covariance by the other one all eigenvalues are 1.
+    units = np.diag((1, 1, 1, *3 * [1 / unit_ratio]))
+    ratios = np.linalg.eigvals(np.linalg.solve(
+        plain.covariance, units @ other.covariance @ units)).real
+    np.testing.assert_allclose(ratios, 1, rtol=0.02)
