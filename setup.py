@@ -62,11 +62,12 @@ setup(
         ],
         'test': [
             'pytest>=7.4.4,<9',
-            # The order of the rooms, see pyproject.toml, and the types; the newest that run on 3.10.
+            # For the order of the rooms and for types (see pyproject.toml); newest that run on 3.10.
             'import-linter>=2.1,<2.6',
             'mypy>=1.15,<1.19',
             # Drives the browser that is there; none of its own.
             'playwright>=1.60,<2',
+            'pytest-cov>=7.1,<8',
             # Jazzy's linters with the flake8 and plugins of its platform, for the same rules.
             'ros-ament-flake8==0.17.*',
             'ros-ament-pep257==0.17.*',

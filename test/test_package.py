@@ -140,7 +140,8 @@ def find_colcon():
     return str(beside_python) if beside_python.exists() else shutil.which('colcon')
 
 
-@pytest.fixture(scope='module', params=['copied', 'symlinked'])
+@pytest.fixture(scope='module', params=[
+    'copied', pytest.param('symlinked', marks=pytest.mark.slow)])
 def workspace(request, tmp_path_factory):
     """Build a copy of the package with colcon and return the workspace."""
     colcon = find_colcon()
@@ -190,6 +191,7 @@ def test_colcon_installs_a_replay_that_runs(workspace):
     assert '--trajectory' in output
 
 
+@pytest.mark.ros
 def test_colcon_installs_a_node_that_runs(workspace):
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     # Alone in its domain, out of the way of a robot's nodes.

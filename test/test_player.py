@@ -34,6 +34,7 @@ from rclpy.serialization import serialize_message  # noqa: E402, I100
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402, I100
 from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
 
+pytestmark = pytest.mark.ros
 IMAGE = textured_sphere()
 
 

@@ -112,7 +112,8 @@ def test_an_unknown_place_is_the_start_of_a_new_world():
     assert TrackingStatus.LOST in statuses
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', (
+    0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))))
 def test_after_a_long_gap_the_old_world_is_found_again(seed):
     """From where landmarks are not found: far away, turned by any angle, among the same walls."""
     R, p = flight(40)
@@ -234,16 +235,3 @@ def test_memory_does_not_grow(monkeypatch):
     keyframes, landmarks = np.transpose(kept)
     assert keyframes.max() == keyframes[-1] == 12
     assert landmarks.max() < 12 * landmark_map.MAX_LANDMARKS
-
-
-def test_the_covariance_is_that_of_the_errors():
-    R, p = flight(20)
-    rng = np.random.default_rng(8)
-    images = [np.uint8(np.clip(room(*pose) + rng.normal(0, 4, (WIDTH // 2, WIDTH)), 0, 255))
-              for pose in zip(R, p)]
-    squared = []
-    for result, R_true in list(zip(tracked(images), R))[2:]:
-        error = (result.R_world_camera * R_true.inv()).as_rotvec()
-        assert np.linalg.eigvalsh(result.covariance).min() > 0
-        squared.append(error @ np.linalg.solve(result.covariance, error) / 3)
-    assert 0.1 < np.mean(squared) < 10
