@@ -11,7 +11,7 @@ EVALUATE := $(PY) -m sph_stab_ros.evaluate --flows farneback,dis
 SIMULATE := $(PY) -m sph_stab_ros.simulation
 RENDER := $(BPY) tools/photoreal/render.py
 RESULTS := results/evaluation
-FILL_IN_TABLES := $(PY) -m sph_stab_ros.evaluation.page_tables $(RESULTS) docs/evaluation.md README.md
+FILL_IN_TABLES := $(PY) -m sph_stab_ros.evaluation.page_tables $(RESULTS) docs/evaluation.md
 
 # The virtual environments bring their own ROS 2; one that the shell has sourced must not mix in.
 unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION

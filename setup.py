@@ -25,7 +25,7 @@ setup(
     maintainer_email='sph_stab_ros@users.noreply.github.com',
     license='Apache-2.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
-    package_data={package_name + '.operator': ['page/*']},
+    package_data={package_name: ['py.typed'], package_name + '.operator': ['page/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
@@ -62,7 +62,7 @@ setup(
         ],
         'test': [
             'pytest>=7.4.4,<9',
-            # For the order of the rooms and for types (see pyproject.toml); newest that run on 3.10.
+            # For rooms and types (see pyproject.toml); the newest that run on 3.10.
             'import-linter>=2.1,<2.6',
             'mypy>=1.15,<1.19',
             # Drives the browser that is there; none of its own.

@@ -53,6 +53,86 @@ guessed identity.
 The method follows S. Pathak, A. Moro, H. Fujii, A. Yamashita and H. Asama, *Spherical video
 stabilization by estimating rotation from dense optical flow fields*, J. Robotics and
 Mechatronics 29(3), 2017; equation numbers in the code are the paper's.
+
+**As a library.** The names in ``__all__`` are the public API; ``examples/`` shows their use.
+Everything else may change. A name is imported when it is first used, so that importing the
+package itself takes no time and needs no OpenCV.
 """
 
+from importlib import import_module
+from typing import Any, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sph_stab_ros.config import (
+        ConfigError, FisheyeConfig, ImuConfig, LensConfig, SmoothingConfig, StabilizerConfig,
+        TrackerConfig, ViewConfig)
+    from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
+    from sph_stab_ros.geometry.masks import load_mask, MaskError
+    from sph_stab_ros.geometry.projection_factory import ProjectionError
+    from sph_stab_ros.geometry.trajectory import read_tum, Trajectory, tum_line
+    from sph_stab_ros.geometry.warp import (
+        equirect_warp, perspective_view, perspective_warp, rotate_equirect, view_rotation)
+    from sph_stab_ros.images.frame import Frame
+    from sph_stab_ros.recording import open_recording, Recording, RecordingError
+    from sph_stab_ros.stabilization.imu import ImuSample
+    from sph_stab_ros.stabilization.pipeline import (
+        StabilizationEvent, StabilizedFrame, Stabilizer)
+    from sph_stab_ros.stabilization.recording_loop import stabilize_recording, Summary
+    from sph_stab_ros.tracking import make_tracker, TrackedOrientation, Tracker, TrackingStatus
+    from sph_stab_ros.tracking.frame_to_frame.estimators import BearingPairs, RotationEstimate
+    from sph_stab_ros.tracking.frame_to_frame.image_pair import ImagePair
+    from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
+
 __version__ = '0.1.0'
+
+__all__ = [
+    'BearingPairs', 'ConfigError', 'FisheyeConfig', 'Frame', 'FrameToFrameTracker', 'ImagePair',
+    'ImuConfig', 'ImuSample', 'LensConfig', 'MaskError', 'ProjectionError', 'Recording',
+    'RecordingError', 'RotationEstimate', 'SmoothingConfig', 'StabilizationEvent',
+    'StabilizedFrame', 'Stabilizer', 'StabilizerConfig', 'Summary', 'TrackedOrientation',
+    'Tracker', 'TrackerConfig', 'TrackingStatus', 'Trajectory', 'ViewConfig',
+    'bearings_from_pixels', 'equirect_warp', 'load_mask', 'make_tracker', 'open_recording',
+    'perspective_view', 'perspective_warp', 'pixels_from_bearings', 'read_tum', 'rotate_equirect',
+    'stabilize_recording', 'tum_line', 'view_rotation']
+
+# Where each name is defined. Modules are named by strings, which no import contract counts.
+_NAMES_BY_MODULE = {
+    'config': (
+        'ConfigError', 'FisheyeConfig', 'ImuConfig', 'LensConfig', 'SmoothingConfig',
+        'StabilizerConfig', 'TrackerConfig', 'ViewConfig'),
+    'geometry.equirect': ('bearings_from_pixels', 'pixels_from_bearings'),
+    'geometry.masks': ('MaskError', 'load_mask'),
+    'geometry.projection_factory': ('ProjectionError',),
+    'geometry.trajectory': ('Trajectory', 'read_tum', 'tum_line'),
+    'geometry.warp': (
+        'equirect_warp', 'perspective_view', 'perspective_warp', 'rotate_equirect',
+        'view_rotation'),
+    'images.frame': ('Frame',),
+    'recording': ('Recording', 'RecordingError', 'open_recording'),
+    'stabilization.imu': ('ImuSample',),
+    'stabilization.pipeline': ('StabilizationEvent', 'StabilizedFrame', 'Stabilizer'),
+    'stabilization.recording_loop': ('Summary', 'stabilize_recording'),
+    'tracking': ('TrackedOrientation', 'Tracker', 'TrackingStatus', 'make_tracker'),
+    'tracking.frame_to_frame.estimators': ('BearingPairs', 'RotationEstimate'),
+    'tracking.frame_to_frame.image_pair': ('ImagePair',),
+    'tracking.frame_to_frame.tracker': ('FrameToFrameTracker',),
+}
+_MODULE_OF = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}
+
+
+def _public(name: str) -> Any:
+    """Import a public name when it is first used."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    value = getattr(import_module(f'{__name__}.{_MODULE_OF[name]}'), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+if not TYPE_CHECKING:
+    # Hidden from type checkers, which would take every misspelt name for one of these.
+    __getattr__ = _public

@@ -217,8 +217,8 @@ class StabilizerNode(Node):
         if back_s > MAX_JITTER_S:
             self._stabilizer.reset()
             self._stabilizer.forget_imu()
-            self._diagnostics.notice('time_went_back', f'the stamps went back by {back_s:.3f} s, '
-                                     'reset: this image defines the stabilized frame')
+            self._diagnostics.event('time_went_back', f'the stamps went back by {back_s:.3f} s, '
+                                    'reset: this image defines the stabilized frame')
 
 
 def main(args=None):

@@ -18,7 +18,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'sph_stab_ros'
 MAX_LINES = 300
-SOURCES = sorted(path.relative_to(ROOT) for folder in ('sph_stab_ros', 'tools', 'launch')
+SOURCES = sorted(path.relative_to(ROOT)
+                 for folder in ('sph_stab_ros', 'tools', 'launch', 'examples')
                  for path in (ROOT / folder).rglob('*')
                  if path.suffix in ('.py', '.js', '.sh'))
 

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-How exact others' methods are on the same pictures, and how long they take.
+Other methods on the same pictures: how exact they are, and how long they take.
 
 Two references, each where its library is installed: the chain of A-KAZE matches and PoseLib's
 five-point solver, and COLMAP's structure-from-motion of equirectangular pictures, offline.

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Those who come and go while the node soaks: subscribers, and whole participants."""
+"""Subscribers and whole participants that come and go during the soak test."""
 
 from collections import Counter
 from itertools import cycle

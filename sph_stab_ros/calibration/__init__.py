@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The lenses of a camera with two fisheye circles: found from its pictures, kept in a file."""
+"""The calibration of two fisheye lenses: estimated from their pictures, kept in a file."""

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The calibration of two fisheye lenses out of what both of them see.
+Calibrate two fisheye lenses by what both of them see.
 
 Corners in the ring where the lenses overlap are followed from one lens' circle into the other's.
 Each gives two pixels that look along one bearing; the parameters are those that make these
@@ -18,14 +18,17 @@ one starts from, as the priors say. Things so near that the lenses, a few centim
 them in different directions, change the radii.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
 from sph_stab_ros.config import FisheyeConfig
-from sph_stab_ros.geometry.fisheye import dual_fisheye, lens_of
+from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Pixels, Values
+from sph_stab_ros.geometry.fisheye import dual_fisheye, DualFisheye, Lens, lens_of
 
 # One standard deviation of what is fitted: lengths in radii, angles in degrees.
 LENS_PRIORS = {'center_u_px': 0.015, 'center_v_px': 0.015, 'radius_px': 0.015, 'k1': 0.004}
@@ -64,45 +67,46 @@ class Calibration:
     """
 
     config: FisheyeConfig
-    before_rad: np.ndarray
-    after_rad: np.ndarray
+    before_rad: Values
+    after_rad: Values
 
 
 class Ring:
     """The border between the lenses as a picture: azimuth about the axis by angle towards it."""
 
-    def __init__(self, fisheye, overlap_rad):
+    def __init__(self, fisheye: DualFisheye, overlap_rad: float) -> None:
         self._px_per_rad = FINENESS * fisheye.sphere_width / (2 * np.pi)
         self.width = round(2 * np.pi * self._px_per_rad)
         self.height = round(overlap_rad * self._px_per_rad)
         uv = np.meshgrid(np.arange(-MARGIN_PX, self.width + MARGIN_PX), np.arange(self.height))
-        self._bearings = np.float32(self.bearings(np.stack(uv, axis=-1) + (MARGIN_PX, 0)))
+        self._bearings = self.bearings(
+            np.stack(uv, axis=-1).astype(float) + (MARGIN_PX, 0)).astype(np.float32)
 
-    def bearings(self, uv):
+    def bearings(self, uv: Pixels) -> Bearings:
         """Return where pixels (..., 2) look, unit vectors (..., 3)."""
         azimuth = (uv[..., 0] - MARGIN_PX) * (2 * np.pi / self.width)
         towards = ((self.height - 1) / 2 - uv[..., 1]) / self._px_per_rad
         return np.stack((np.cos(towards) * np.cos(azimuth), np.cos(towards) * np.sin(azimuth),
                          np.sin(towards)), axis=-1)
 
-    def seen_by(self, lens, grey):
+    def seen_by(self, lens: Lens, grey: Grey) -> Grey:
         """Return what a lens of the grey picture sees of the ring, its contrast made even."""
         u, v, _ = lens.pixels(self._bearings)
         seen = cv2.remap(grey, u, v, cv2.INTER_LINEAR).astype(np.float32)
         window = (CONTRAST_WINDOW_PX, CONTRAST_WINDOW_PX)
         mean = cv2.blur(seen, window)
         contrast = np.sqrt(np.maximum(cv2.blur(seen * seen, window) - mean * mean, 0))
-        return np.uint8(np.clip(128 + 40 * (seen - mean) / np.maximum(contrast, MIN_CONTRAST),
-                                0, 255))
+        return np.clip(128 + 40 * (seen - mean) / np.maximum(contrast, MIN_CONTRAST),
+                       0, 255).astype(np.uint8)
 
-    def contains(self, uv):
+    def contains(self, uv: Pixels) -> Choice:
         """Tell which pixels (N, 2) lie a window within the ring, and once around."""
         reach = WINDOW_PX / 2
         return ((uv[:, 1] >= reach) & (uv[:, 1] < self.height - reach)
                 & (uv[:, 0] >= MARGIN_PX) & (uv[:, 0] < MARGIN_PX + self.width))
 
 
-def for_size(config, size_wh):
+def for_size(config: FisheyeConfig, size_wh: tuple[int, int]) -> FisheyeConfig:
     """Return the FisheyeConfig for pictures (width, height) that it fits."""
     scale = size_wh[0] / config.width
     width, height = size_wh
@@ -116,7 +120,7 @@ def for_size(config, size_wh):
     return replace(config, width=width, height=height, **lenses)
 
 
-def calibrate(greys, config):
+def calibrate(greys: Sequence[Grey], config: FisheyeConfig) -> Calibration:
     """
     Return the Calibration that grey pictures (H, W), of a FisheyeConfig's size, give from it.
 
@@ -140,7 +144,8 @@ def calibrate(greys, config):
     return Calibration(refined, before_rad[good], after_rad[good])
 
 
-def corners_in_both(greys, config):
+def corners_in_both(
+        greys: Sequence[Grey], config: FisheyeConfig) -> tuple[Pixels, Pixels, Values]:
     """
     Return the pixels (N, 2) of corners in the front circles and in the rear ones of pictures.
 
@@ -167,13 +172,13 @@ def corners_in_both(greys, config):
     return front_uv, rear_uv, np.arctan2(x[:, 0, 1], x[:, 0, 0])
 
 
-def followed(before, now, corners):
+def followed(before: Grey, now: Grey, corners: Pixels) -> Pixels:
     """Return where corners (N, 1, 2) of one picture are in another."""
     return cv2.calcOpticalFlowPyrLK(
         before, now, corners, None, winSize=(WINDOW_PX, WINDOW_PX), maxLevel=2)[0]
 
 
-def check_texture(azimuth):
+def check_texture(azimuth: Values) -> None:
     """Raise CalibrationError where corners at azimuths (N,) do not suffice."""
     sectors = np.floor(azimuth / (2 * np.pi) * SECTORS).astype(int) % SECTORS
     filled = np.bincount(sectors, minlength=SECTORS) >= MIN_CORNERS_PER_SECTOR
@@ -184,7 +189,8 @@ def check_texture(azimuth):
             'are needed')
 
 
-def fitted(front_uv, rear_uv, config, start):
+def fitted(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig,
+           start: FisheyeConfig) -> FisheyeConfig:
     """Return the FisheyeConfig near ``config`` that makes pixels (N, 2) agree, from a start."""
     names = [(lens, name) for lens in ('front', 'rear') for name in LENS_PRIORS]
     names += [('rear', name) for name in MOUNT_PRIORS]
@@ -192,17 +198,17 @@ def fitted(front_uv, rear_uv, config, start):
     sigmas = np.array([priors[name] * (getattr(config, lens).radius_px if name in LENGTHS else 1)
                        for lens, name in names])
 
-    def values(one):
+    def values(one: FisheyeConfig) -> Values:
         return np.array([getattr(getattr(one, lens), name) for lens, name in names])
 
-    def with_values(parameters):
-        lenses = {'front': {}, 'rear': {}}
+    def with_values(parameters: Values) -> FisheyeConfig:
+        lenses: dict[str, Any] = {'front': {}, 'rear': {}}
         for (lens, name), value in zip(names, (values(config) + sigmas * parameters).tolist()):
             lenses[lens][name] = value
         return replace(config, **{
             lens: replace(getattr(config, lens), **changed) for lens, changed in lenses.items()})
 
-    def residuals(parameters):
+    def residuals(parameters: Values) -> Values:
         front, rear = bearings_of(front_uv, rear_uv, with_values(parameters))
         off = (front - rear) / CORNER_SIGMA_RAD
         # Pseudo-Huber's cost of the corners, the plain square of the priors.
@@ -215,12 +221,13 @@ def fitted(front_uv, rear_uv, config, start):
     return with_values(found.x)
 
 
-def disagreement_rad(front_uv, rear_uv, config):
+def disagreement_rad(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig) -> Values:
     """Return the angles (N,) between where the lenses see pixels (N, 2) of theirs."""
     front, rear = bearings_of(front_uv, rear_uv, config)
     return 2 * np.arcsin(np.minimum(np.linalg.norm(front - rear, axis=1) / 2, 1))
 
 
-def bearings_of(front_uv, rear_uv, config):
+def bearings_of(front_uv: Pixels, rear_uv: Pixels,
+                config: FisheyeConfig) -> tuple[Bearings, Bearings]:
     """Return the bearings (N, 3) of pixels (N, 2) in the front circle and in the rear one."""
     return lens_of(config.front).bearings(front_uv), lens_of(config.rear).bearings(rear_uv)

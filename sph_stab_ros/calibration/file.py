@@ -12,9 +12,12 @@ The calibration of two fisheye lenses as a file of the node's parameters.
 ``python3 -m sph_stab_ros.calibration.file > config/theta_s.yaml`` writes the one in the package.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
-from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from sph_stab_ros.config import (
     ConfigError, DUAL_FISHEYE, FisheyeConfig, options, StabilizerConfig, with_option)
@@ -33,10 +36,10 @@ GROUP = 'fisheye.'
 DECIMALS = 6
 
 
-def calibration_text(config, about):
+def calibration_text(config: FisheyeConfig, about: str) -> str:
     """Return the text of the file for a FisheyeConfig; ``about`` are lines of comment."""
     lines = [about, '/**:', '  ros__parameters:', f'    projection: {DUAL_FISHEYE}']
-    open_groups = []
+    open_groups: list[str] = []
     for one in options(config, prefix=GROUP):
         *groups, key = one.name.split('.')
         for depth, group in enumerate(groups):
@@ -47,7 +50,7 @@ def calibration_text(config, about):
     return '\n'.join(lines) + '\n'
 
 
-def read_calibration(path):
+def read_calibration(path: Path) -> FisheyeConfig:
     """
     Return the FisheyeConfig in a file of ROS parameters; others in it are left out.
 
@@ -75,7 +78,7 @@ def read_calibration(path):
     return config.fisheye
 
 
-def _flat(values, prefix=''):
+def _flat(values: Any, prefix: str = '') -> Iterator[tuple[str, Any]]:
     """Yield dotted names and values of nested mappings."""
     if not isinstance(values, Mapping):
         return

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How a process is set up, for megabytes of picture and matrices long and thin, and ends."""
+"""Set a process up for large pictures and thin matrices, and end it in bounded time."""
 
 from contextlib import contextmanager
 import ctypes

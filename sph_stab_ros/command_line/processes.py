@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The package's own executables as processes, and what they use of the machine (Linux)."""
+"""Run the package's executables as processes and measure what they use (Linux)."""
 
 from contextlib import contextmanager
 import os

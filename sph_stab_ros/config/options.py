@@ -13,15 +13,20 @@ ROS parameters, command lines and ``config/*.yaml`` are all made from dataclasse
 A nested dataclass groups its options under its name: ``view.yaw_deg``.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
+
+Config = TypeVar('Config', bound='Checked')
 
 
 class ConfigError(ValueError):
     """An option that does not exist or a value it does not take, in one line for the user."""
 
 
-def option(default, description, minimum=None, maximum=None, choices=None, live=True):
+def option(default: Any, description: str, minimum: float | None = None,
+           maximum: float | None = None, choices: tuple[str, ...] | None = None,
+           live: bool = True) -> Any:
     """
     Declare an option of a config dataclass.
 
@@ -41,10 +46,10 @@ class Option:
     description: str
     minimum: float | None
     maximum: float | None
-    choices: tuple | None
+    choices: tuple[str, ...] | None
     live: bool
 
-    def check(self, value):
+    def check(self, value: Any) -> Any:
         """Return the value in the option's type, or raise ConfigError with the reason."""
         kind = type(self.default)
         if kind is float and type(value) is int:
@@ -52,18 +57,19 @@ class Option:
         if kind is tuple and type(value) is list:
             value = tuple(value)
         if type(value) is not kind:
-            kind = 'list of names' if kind is tuple else kind.__name__
-            raise ConfigError(f'{self.name} is a {kind}, not {value!r}')
+            wanted = 'list of names' if kind is tuple else kind.__name__
+            raise ConfigError(f'{self.name} is a {wanted}, not {value!r}')
         if self.choices and value not in self.choices:
             raise ConfigError(f"{self.name} is one of {', '.join(self.choices)}, not '{value}'")
         # Written so that NaN fails too.
-        if self.minimum is not None and not self.minimum <= value <= self.maximum:
+        if (self.minimum is not None and self.maximum is not None
+                and not self.minimum <= value <= self.maximum):
             raise ConfigError(f'{self.name} must lie within {self.minimum:g} and '
                               f'{self.maximum:g}, not {value:g}')
         return value
 
 
-def options(config, nested=True, prefix=''):
+def options(config: Any, nested: bool = True, prefix: str = '') -> Iterator[Option]:
     """
     Yield the Option of each field of a config dataclass, nested ones by their dotted names.
 
@@ -80,23 +86,23 @@ def options(config, nested=True, prefix=''):
 class Checked:
     """Base of config dataclasses: refuses values that its options do not take."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check each option's value."""
         for one in options(type(self), nested=False):
             object.__setattr__(self, one.name, one.check(getattr(self, one.name)))
 
 
-def with_option(config, name, value):
+def with_option(config: Config, name: str, value: Any) -> Config:
     """Return the config with the option of a dotted name changed, or raise ConfigError."""
     group, _, rest = name.partition('.')
-    names = {one.name for one in fields(config)} if is_dataclass(config) else ()
-    if group not in names or bool(rest) != is_dataclass(getattr(config, group)):
+    if (not is_dataclass(config) or group not in {one.name for one in fields(config)}
+            or bool(rest) != is_dataclass(getattr(config, group))):
         raise ConfigError(f"there is no option '{name}'")
     return replace(config, **{group: with_option(getattr(config, group), rest, value)
                               if rest else value})
 
 
-def get_option(config, name):
+def get_option(config: Any, name: str) -> Any:
     """Return the value of the option of a dotted name."""
     for part in name.split('.'):
         config = getattr(config, part)

@@ -14,8 +14,9 @@ writes the one in the package.
 """
 
 from textwrap import indent, wrap
+from typing import Any
 
-from sph_stab_ros.config import NODE_PARAMETERS
+from sph_stab_ros.config import NODE_PARAMETERS, Option
 
 HEADER = """\
 # Copyright 2026 The sph_stab_ros developers
@@ -29,9 +30,9 @@ HEADER = """\
 """
 
 
-def parameter_file():
+def parameter_file() -> str:
     """Return the text of the YAML file."""
-    groups = {}
+    groups: dict[str, list[str]] = {}
     for name, option in NODE_PARAMETERS.items():
         group, _, key = name.rpartition('.')
         groups.setdefault(group, []).append(_entry(key, option))
@@ -41,21 +42,21 @@ def parameter_file():
     return HEADER + indent(text, '    ')
 
 
-def _entry(key, option):
+def _entry(key: str, option: Option) -> str:
     """Return the lines of one option: description, allowed values, default."""
     when = '' if option.live else ' (at start only)'
     lines = wrap(f'{option.description}{_allowed(option)}{when}.', width=88)
     return ''.join(f'# {line}\n' for line in lines) + f'{key}: {_yaml(option.default)}\n'
 
 
-def _yaml(value):
+def _yaml(value: Any) -> str:
     """Return a value as YAML has it."""
     if isinstance(value, bool):
         return str(value).lower()
     return repr(list(value) if isinstance(value, tuple) else value)
 
 
-def _allowed(option):
+def _allowed(option: Option) -> str:
     if option.choices:
         return ': ' + ', '.join(option.choices)
     return '' if option.minimum is None else f': {option.minimum:g} to {option.maximum:g}'

@@ -6,12 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Every option of the stabiliser and its node."""
+"""Every option of the algorithm and of the ROS node around it."""
 
 from dataclasses import dataclass, fields, replace
 import re
 
-from sph_stab_ros.config.options import Checked, ConfigError, option, options
+from sph_stab_ros.config.options import Checked, ConfigError, Option, option, options
 
 # The names that options choose from stand here, on the ground; the algorithms read them from here.
 ANCHORED = 'anchored'
@@ -61,7 +61,7 @@ class TrackerConfig(Checked):
         0.5, 'For how long in seconds the last angular velocity is trusted without measurement',
         minimum=0., maximum=10.)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check each option's value."""
         super().__post_init__()
         if 0 < self.working_width < MIN_WIDTH:
@@ -191,7 +191,7 @@ class NodeConfig(StabilizerConfig):
     publish_tf: bool = option(
         True, 'Publish the transforms from the camera to the stabilized frame and on to the '
         'views, where tf2_msgs is installed')
-    views: tuple = option(
+    views: tuple[str, ...] = option(
         (VIEW,), 'Names of the views: each has topics NAME/image and so on, and parameters NAME.*',
         live=False)
     front_marker: str = option(
@@ -206,7 +206,7 @@ class NodeConfig(StabilizerConfig):
     jpeg_quality: int = option(
         90, 'Quality of the compressed images that are published', minimum=1, maximum=100)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check each option's value, and that the views can be told apart."""
         super().__post_init__()
         if not self.views or len(set(self.views)) < len(self.views):
@@ -219,7 +219,7 @@ class NodeConfig(StabilizerConfig):
                 raise ConfigError(f"'{name}' cannot be a view: something else has that name")
 
 
-def view_parameters(name):
+def view_parameters(name: str) -> dict[str, Option]:
     """Return the parameters of the view of a name: their names and Options of ViewConfig."""
     return {f'{name}.{one.name}': replace(one, default=f'{name}_optical')
             if one.name == 'frame_id' else one for one in options(ViewConfig)}

@@ -6,4 +6,4 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How far estimated orientations are from true ones, in tables and figures."""
+"""Accuracy: estimated orientations against ground truth, in numbers, tables and plots."""

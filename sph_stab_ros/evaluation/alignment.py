@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-How truth and camera relate: the mount rotation and the offset between their clocks.
+Align ground truth with the camera: the mount rotation and the offset between their clocks.
 
 Truth is the orientation ``R_mocap_body`` of some body in some world, on some clock; the estimate
 is ``R_world_camera``. With the constant mount rotation ``R_body_camera``::
@@ -25,6 +25,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import correlate, correlation_lags
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.trajectory import Trajectory
 
@@ -73,7 +74,9 @@ class Alignment:
     residual_rad: float = 0.0
 
 
-def align_trajectories(truth, estimate, R_body_camera=None, clock_offset_ns=None):
+def align_trajectories(
+        truth: Trajectory, estimate: Trajectory, R_body_camera: Rotation | None = None,
+        clock_offset_ns: int | None = None) -> Alignment:
     """
     Return the Alignment of two Trajectories, solving for what is None.
 
@@ -89,16 +92,14 @@ def align_trajectories(truth, estimate, R_body_camera=None, clock_offset_ns=None
     check_overlap(truth, stamps_ns)
     body_turns, camera_turns = _turns(truth, estimate, clock_offset_ns, SPAN_S)
     mount_solved = R_body_camera is None and spans_two_axes(body_turns)
-    if mount_solved:
-        R_body_camera = fit_mount(body_turns, camera_turns)
-    elif R_body_camera is None:
-        R_body_camera = R_BODY_CAMERA
+    if R_body_camera is None:
+        R_body_camera = fit_mount(body_turns, camera_turns) if mount_solved else R_BODY_CAMERA
     return Alignment(R_body_camera, clock_offset_ns, mount_solved,
                      float(np.linalg.norm(body_turns, axis=1).mean()),
                      _misfit(body_turns, camera_turns, R_body_camera))
 
 
-def fit_mount(body_turns, camera_turns):
+def fit_mount(body_turns: Vectors, camera_turns: Vectors) -> Rotation:
     """
     Return R_body_camera from the same turns (N, 3), as rotation vectors, of body and camera.
 
@@ -115,13 +116,13 @@ def fit_mount(body_turns, camera_turns):
     return Rotation.from_matrix(R)
 
 
-def spans_two_axes(turns):
+def spans_two_axes(turns: Vectors) -> bool:
     """Tell whether turns (N, 3), as rotation vectors, determine a mount rotation."""
     rms = np.linalg.svd(turns, compute_uv=False) / np.sqrt(len(turns))
-    return rms[1] >= max(MIN_SECOND_AXIS_RAD, MIN_SECOND_AXIS_RATIO * rms[0])
+    return bool(rms[1] >= max(MIN_SECOND_AXIS_RAD, MIN_SECOND_AXIS_RATIO * rms[0]))
 
 
-def has_truth(truth, stamps_ns):
+def has_truth(truth: Trajectory, stamps_ns: Stamps) -> Choice:
     """Tell at which stamps (M,) the truth may be interpolated: not outside, not in its gaps."""
     if len(truth) < 2:
         return np.zeros(len(stamps_ns), bool)
@@ -134,7 +135,7 @@ def has_truth(truth, stamps_ns):
     return truth.covers(stamps_ns) & (on_sample | (intervals_ns[interval] <= longest_ns))
 
 
-def check_overlap(truth, stamps_ns):
+def check_overlap(truth: Trajectory, stamps_ns: Stamps) -> None:
     """Raise EvaluationError where the truth says too little at stamps (M,)."""
     known = np.count_nonzero(has_truth(truth, stamps_ns))
     if known >= MIN_FRAMES:
@@ -148,7 +149,8 @@ def check_overlap(truth, stamps_ns):
                           f'{MIN_FRAMES} are needed')
 
 
-def _turns(truth, estimate, clock_offset_ns, span_s):
+def _turns(truth: Trajectory, estimate: Trajectory, clock_offset_ns: int,
+           span_s: float) -> tuple[Vectors, Vectors]:
     """
     Return the turns of body and camera, each (N, 3) as rotation vectors.
 
@@ -158,16 +160,17 @@ def _turns(truth, estimate, clock_offset_ns, span_s):
     known = has_truth(truth, stamps_ns)
     span = round(span_s * NS_PER_S / np.median(np.diff(estimate.stamps_ns)))
     span = max(min(span, np.count_nonzero(known) // 2), 1)
-    R_mocap_body, R_world_camera = truth.at(stamps_ns[known]), estimate.rotations[known]
-    return tuple((R[:-span].inv() * R[span:]).as_rotvec() for R in (R_mocap_body, R_world_camera))
+    body, camera = ((R[:-span].inv() * R[span:]).as_rotvec()
+                    for R in (truth.at(stamps_ns[known]), estimate.rotations[known]))
+    return body, camera
 
 
-def _misfit(body_turns, camera_turns, R_body_camera):
+def _misfit(body_turns: Vectors, camera_turns: Vectors, R_body_camera: Rotation) -> float:
     return float(np.linalg.norm(
         body_turns - R_body_camera.apply(camera_turns), axis=1).mean())
 
 
-def _coarse_clock_offset(truth, estimate):
+def _coarse_clock_offset(truth: Trajectory, estimate: Trajectory) -> int:
     """
     Return the clock offset in ns at which the angular speeds correlate best, to SPEED_STEP_NS.
 
@@ -189,7 +192,7 @@ def _coarse_clock_offset(truth, estimate):
     return int(truth.stamps_ns[0] - estimate.stamps_ns[0] + lag * SPEED_STEP_NS)
 
 
-def _refined_clock_offset(truth, estimate, coarse_ns):
+def _refined_clock_offset(truth: Trajectory, estimate: Trajectory, coarse_ns: int) -> int:
     """
     Return the clock offset in ns, near a coarse one, that leaves the least misfit of turns.
 
@@ -201,7 +204,7 @@ def _refined_clock_offset(truth, estimate, coarse_ns):
     """
     truth = _smoothed(truth)
 
-    def misfit(correction_s):
+    def misfit(correction_s: float) -> float:
         offset_ns = coarse_ns + round(correction_s * NS_PER_S)
         if np.count_nonzero(has_truth(truth, estimate.stamps_ns + offset_ns)) < MIN_FRAMES:
             return np.pi
@@ -217,7 +220,7 @@ def _refined_clock_offset(truth, estimate, coarse_ns):
     return coarse_ns + round(found.x * NS_PER_S)
 
 
-def _smoothed(trajectory):
+def _smoothed(trajectory: Trajectory) -> Trajectory:
     """Return the Trajectory with noise averaged out over CLOCK_SMOOTHING_S, not shifted."""
     q = trajectory.rotations.as_quat()
     signs = np.where(np.einsum('ni,ni->n', q[1:], q[:-1]) < 0, -1, 1)
@@ -227,12 +230,12 @@ def _smoothed(trajectory):
         gaussian_filter1d(q, sigma, axis=0)))
 
 
-def _angular_speed(trajectory, window_ns):
+def _angular_speed(trajectory: Trajectory, window_ns: int) -> Values:
     """Return the angle turned within ``window_ns``, every SPEED_STEP_NS from the start on."""
     starts_ns = np.arange(trajectory.stamps_ns[0], trajectory.stamps_ns[-1] - window_ns,
                           SPEED_STEP_NS)
     return (trajectory.at(starts_ns).inv() * trajectory.at(starts_ns + window_ns)).magnitude()
 
 
-def _standardised(values):
+def _standardised(values: Values) -> Values:
     return (values - values.mean()) / max(values.std(), 1e-12)

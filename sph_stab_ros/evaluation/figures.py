@@ -15,19 +15,25 @@ and their difference, the flow of the rotation (Fig. 7 a to c); ``error_surface`
 direct epipolar estimator over rotation and epipole (Fig. 8).
 """
 
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import (
+    Bearings, Floats, Grey, Indices, Values, Vector, Vectors)
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.geometry.warp import rotate_equirect
+from sph_stab_ros.recording import Recording
 from sph_stab_ros.tracking.frame_to_frame.estimators import (
     BearingPairs, FitStatus, RotationEstimate)
 from sph_stab_ros.tracking.frame_to_frame.estimators.epipolar import flow_angles, tangent_basis
@@ -58,26 +64,33 @@ class Example:
     """Two consecutive grey spheres, their flow, and what ``pts_epipolar`` makes of it."""
 
     time_s: float
-    previous: np.ndarray
-    current: np.ndarray
+    previous: Grey
+    current: Grey
     pairs: BearingPairs
     estimate: RotationEstimate
 
     @property
-    def parallax_rad(self):
+    def epipole(self) -> Vector:
+        """Return the unit epipole in the current frame."""
+        assert self.estimate.t_current is not None
+        return self.estimate.t_current
+
+    @property
+    def parallax_rad(self) -> float:
         """Median angle of the derotated flow."""
         moved = self.estimate.R_current_previous.apply(self.pairs.previous)
         return float(np.median(np.linalg.norm(self.pairs.current - moved, axis=1)))
 
 
-def find_example(recording, frames):
+def find_example(recording: Recording, frames: int) -> Example | None:
     """Return the Example of the strongest parallax in so many frames, None if there is none."""
     wanted = set(np.linspace(1, frames - 1, CANDIDATES, dtype=int).tolist())
-    examples, previous, first_ns = [], None, None
+    examples: list[Example | None] = []
+    previous, first_ns = None, None
     with closing(recording.frames()) as pictures:
         for number, frame in zip(range(frames), pictures):
             first_ns = first_ns or frame.stamp_ns
-            if number in wanted:
+            if number in wanted and previous is not None:
                 examples.append(make_example((frame.stamp_ns - first_ns) / NS_PER_S, previous,
                                              to_grey(frame.image, WIDTH)))
             if number + 1 in wanted:
@@ -85,17 +98,18 @@ def find_example(recording, frames):
     return max(filter(None, examples), key=lambda one: one.parallax_rad, default=None)
 
 
-def make_example(time_s, previous, current):
-    """Return the Example of two grey spheres (H, W), or None where no epipole can be told."""
+def make_example(time_s: float, previous: Grey, current: Grey) -> Example | None:
+    """Return the Example of two grey spheres, or None where no epipole can be told."""
     # Unbounded, the estimator's own minimum is the one of the surface of Eq. 8.
     estimate = ImagePair(
         Sphere(previous), Sphere(current), FLOW, epipolar_bound_rad=np.inf).pts_epipolar()
-    if estimate is None or estimate.status is not FitStatus.OK:
+    pairs = dense_pairs(previous, current, FLOW)
+    if estimate is None or estimate.status is not FitStatus.OK or pairs is None:
         return None
-    return Example(time_s, previous, current, dense_pairs(previous, current, FLOW), estimate)
+    return Example(time_s, previous, current, pairs, estimate)
 
 
-def draw(folder, title, example):
+def draw(folder: Path, title: str, example: Example) -> None:
     """Write the figures of an Example into an existing folder."""
     for name, what, figure in (
             ('flow_field', 'spherical flow', flow_field_figure(example)),
@@ -105,7 +119,7 @@ def draw(folder, title, example):
         figure.savefig(folder / f'{name}.png', dpi=DPI)
 
 
-def flow_field_figure(example):
+def flow_field_figure(example: Example) -> Figure:
     """
     Return a Figure of the flow of rotation alone and of translation alone on half spheres.
 
@@ -116,20 +130,21 @@ def flow_field_figure(example):
     turned = rotate_equirect(example.previous, R.inv())
     derotated = rotate_equirect(example.current, R)
     axis = R.as_rotvec() / max(R.magnitude(), 1e-12)
-    epipole = R.inv().apply(example.estimate.t_current)
+    epipole = R.inv().apply(example.epipole)
     figure = Figure(figsize=(10, 5.4), layout='constrained')
     for panel, current, direction, mark, title in zip(
             figure.subplots(1, 2), (turned, derotated), (axis, epipole), ('axis', 'epipole'),
             (f'rotation by {np.rad2deg(R.magnitude()):.2f} deg', 'translation')):
-        magnified = _draw_half_sphere(
-            panel, dense_pairs(example.previous, current, FLOW), direction, mark)
+        pairs = dense_pairs(example.previous, current, FLOW)
+        assert pairs is not None, 'a picture keeps its texture when it is turned'
+        magnified = _draw_half_sphere(panel, pairs, direction, mark)
         panel.set_title(f'{title} (arrows {magnified:.0f}× as long)')
     return figure
 
 
-def derotation_figure(example):
+def derotation_figure(example: Example) -> Figure:
     """Return a Figure of the flow before and after derotation, and of their difference."""
-    R, q = example.estimate.R_current_previous, example.estimate.t_current
+    R, q = example.estimate.R_current_previous, example.epipole
     sample = example.pairs[_spread(example.pairs.previous)]
     x, moved = sample.previous, sample.current
     derotated = R.apply(x)
@@ -146,9 +161,9 @@ def derotation_figure(example):
     return figure
 
 
-def error_surface_figure(example):
+def error_surface_figure(example: Example) -> Figure:
     """Return a Figure of the root mean square of Ω (Eq. 8) over rotation and over epipole."""
-    R, q = example.estimate.R_current_previous, example.estimate.t_current
+    R, q = example.estimate.R_current_previous, example.epipole
     pairs = example.pairs[::-(-len(example.pairs) // SURFACE_PAIRS)]
     turns_deg = np.linspace(-REACH_DEG, REACH_DEG, 41)
     over_rotation = [[
@@ -168,13 +183,14 @@ def error_surface_figure(example):
     return figure
 
 
-def cost_deg(pairs, R_current_previous, q):
+def cost_deg(pairs: BearingPairs, R_current_previous: Rotation, q: Vector) -> float:
     """Return the root of the weighted mean of Ω² (Eq. 8) in degrees."""
     weights = pairs.weights / pairs.weights.sum()
     return np.rad2deg(np.sqrt(weights @ flow_angles(pairs, R_current_previous, q) ** 2))
 
 
-def _draw_surface(figure, panel, x, y, cost_deg, found):
+def _draw_surface(figure: Figure, panel: Axes, x: Values, y: Values, cost_deg: list[list[float]],
+                  found: Iterable[float]) -> None:
     surface = panel.contourf(x, y, cost_deg, levels=24, cmap='viridis')
     panel.contour(x, y, cost_deg, levels=24, colors='white', linewidths=0.3)
     panel.plot(*found, 'x', color='white', markersize=9, markeredgewidth=2.5)
@@ -182,7 +198,7 @@ def _draw_surface(figure, panel, x, y, cost_deg, found):
     figure.colorbar(surface, ax=panel, label='RMS of Ω [deg]', shrink=0.85, format='%.0f')
 
 
-def _draw_flow(panel, picture, start, end):
+def _draw_flow(panel: Axes, picture: Grey, start: Bearings, end: Bearings) -> float:
     """Draw arrows between bearings (N, 3) over a grey sphere; return how much longer they are."""
     factor = _magnification(end - start)
     panel.imshow(picture, cmap='gray', extent=(-180, 180, -90, 90), alpha=0.55)
@@ -198,7 +214,7 @@ def _draw_flow(panel, picture, start, end):
     return factor
 
 
-def _draw_epipolar_circles(panel, q):
+def _draw_epipolar_circles(panel: Axes, q: Vector) -> None:
     """Draw great circles through the epipole q (3,), and q itself and its antipode."""
     along = np.linspace(0, np.pi, 400)
     for around in np.linspace(0, 2 * np.pi, EPIPOLAR_CIRCLES, endpoint=False):
@@ -212,7 +228,7 @@ def _draw_epipolar_circles(panel, q):
     panel.legend(loc='lower right')
 
 
-def _draw_half_sphere(panel, pairs, direction, mark):
+def _draw_half_sphere(panel: Axes, pairs: BearingPairs, direction: Vector, mark: str) -> float:
     """
     Draw the flow on the half sphere that shows a unit direction (3,), marked, above its middle.
 
@@ -239,11 +255,11 @@ def _draw_half_sphere(panel, pairs, direction, mark):
     return factor
 
 
-def _magnification(flow):
+def _magnification(flow: Vectors) -> float:
     return np.deg2rad(ARROW_DEG) / np.percentile(np.linalg.norm(flow, axis=1), 90)
 
 
-def _spread(bearings):
+def _spread(bearings: Bearings) -> Indices:
     """Return indices of bearings (N, 3) that lie evenly on the sphere (a Fibonacci lattice)."""
     number = np.arange(ARROWS) + 0.5
     y = 1 - 2 * number / ARROWS
@@ -253,12 +269,12 @@ def _spread(bearings):
     return np.unique(cKDTree(bearings).query(lattice)[1])
 
 
-def _lon_lat_deg(bearings):
+def _lon_lat_deg(bearings: Bearings) -> Floats:
     """Return longitudes and latitudes (..., 2) in degrees of bearings (..., 3)."""
     # A picture 360 px wide has a pixel for each degree; pixel centres are integers.
     return (pixels_from_bearings(bearings, 360) + 0.5) * (1, -1) + (-180, 90)
 
 
-def _bearing(lon_deg, lat_deg):
+def _bearing(lon_deg: float, lat_deg: float) -> Vector:
     """Return the bearing (3,) of a longitude and a latitude in degrees."""
     return bearings_from_pixels((lon_deg + 179.5, 89.5 - lat_deg), 360)

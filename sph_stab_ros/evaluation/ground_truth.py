@@ -6,20 +6,23 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""True orientations out of a recording's messages."""
+"""Ground truth: orientations from the messages of a recording."""
 
+from collections.abc import Callable
 import logging
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Choice, Floats, Stamps
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.trajectory import Trajectory
-from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.recording import Recording, RecordingError
 
 logger = logging.getLogger(__name__)
 
-ORIENTATION_OF = {
+ORIENTATION_OF: dict[str, Callable[[Any], Any]] = {
     'geometry_msgs/msg/PoseStamped': lambda msg: msg.pose.orientation,
     'geometry_msgs/msg/QuaternionStamped': lambda msg: msg.quaternion,
     'geometry_msgs/msg/TransformStamped': lambda msg: msg.transform.rotation,
@@ -31,7 +34,7 @@ IMU_TYPE = 'sensor_msgs/msg/Imu'
 NORM_TOLERANCE = 1e-3
 
 
-def find_truth_topic(recording):
+def find_truth_topic(recording: Recording) -> str:
     """
     Return the one topic that can be truth.
 
@@ -51,7 +54,7 @@ def find_truth_topic(recording):
         f'{recording.name} has no topic with orientations; --inject SEED evaluates without truth')
 
 
-def read_truth(recording, topic):
+def read_truth(recording: Recording, topic: str) -> Trajectory:
     """
     Return the Trajectory of a topic of any type in ORIENTATION_OF.
 
@@ -59,8 +62,8 @@ def read_truth(recording, topic):
     sorted, of equal stamps the first is kept, quaternions are normalised; each is said in the log.
     RecordingError where nothing is left.
     """
-    msgtype = recording.topics.get(topic)
-    if msgtype is not None and msgtype not in ORIENTATION_OF:
+    msgtype = recording.topics.get(topic, '')
+    if msgtype and msgtype not in ORIENTATION_OF:
         raise RecordingError(f'{topic} in {recording.name} is of type {msgtype}, truth is one of '
                              f'{", ".join(ORIENTATION_OF)}')
     stamps_ns, quaternions = [], []
@@ -75,7 +78,7 @@ def read_truth(recording, topic):
     return _cleaned(topic, np.array(stamps_ns, np.int64), np.array(quaternions).reshape(-1, 4))
 
 
-def _cleaned(topic, stamps_ns, quaternions):
+def _cleaned(topic: str, stamps_ns: Stamps, quaternions: Floats) -> Trajectory:
     """Return the Trajectory of what is left of stamps (N,) and quaternions (N, 4)."""
     norms = np.linalg.norm(quaternions, axis=1)
     # Written so that NaN fails.
@@ -94,6 +97,6 @@ def _cleaned(topic, stamps_ns, quaternions):
     return Trajectory(unique_ns, Rotation.from_quat(quaternions[first]))
 
 
-def _warn(topic, concerned, what):
+def _warn(topic: str, concerned: Choice, what: str) -> None:
     if concerned.any():
         logger.warning('%s: %d messages %s', topic, np.count_nonzero(concerned), what)

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Evaluation without truth: real footage turned by known rotations.
+Evaluation without ground truth: real footage turned by known rotations.
 
 Frame i of a clip is rendered as a camera turned by ``R_camera_shaken[i]`` would have seen it. Of
 whatever orientation an estimator finds for the clip itself, that of the shaken clip must be the
@@ -28,9 +28,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Image, Mask, Raster
 from sph_stab_ros.geometry.equirect import bearing_grid, pad_sphere, pixels_from_bearings
 from sph_stab_ros.geometry.masks import load_mask
 from sph_stab_ros.geometry.warp import view_rotation
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.recording_loop import FrameProcessor
 
 # Yaw, pitch, roll.
 PEAKS_DEG = (25., 12., 15.)
@@ -41,7 +45,7 @@ FILL_WIDTH = 128
 FILL_SIGMA_PX = 4
 
 
-def injected_rotations(seed, frames):
+def injected_rotations(seed: int, frames: int) -> Rotation:
     """
     Return the rotations R_camera_shaken to inject, one for each of ``frames`` ≥ 2 frames.
 
@@ -56,9 +60,9 @@ def injected_rotations(seed, frames):
     return Rotation.concatenate([view_rotation(*one) for one in zip(*angles)])
 
 
-def turned(image, R_source_target):
+def turned(image: Image, R_source_target: Rotation) -> Image:
     """
-    Return the sphere ``image`` (H, W[, C]) as a camera turned by ``R_source_target`` sees it.
+    Return the sphere ``image`` as a camera turned by ``R_source_target`` sees it.
 
     Slower than ``rotate_equirect`` and as exact as can be: no interpolation of the map, Lanczos'
     of the picture.
@@ -69,9 +73,9 @@ def turned(image, R_source_target):
     return cv2.remap(pad_sphere(image, MARGIN_PX), uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4)
 
 
-def turned_world(image, R_source_target, world):
+def turned_world(image: Image, R_source_target: Rotation, world: Mask) -> Image:
     """
-    Return ``turned`` where the ``world`` (H, W) bool is seen; other pixels stay as they are.
+    Return ``turned`` where the ``world`` is seen; other pixels stay as they are.
 
     What they hide of the world is filled in with the blurred colours around it.
     """
@@ -79,11 +83,11 @@ def turned_world(image, R_source_target, world):
     return np.where(_like(world, image), turned(filled, R_source_target), image)
 
 
-def _blurred(image, world):
-    """Return an image (H, W[, C]) of the world's blurred colours, spread over all of it."""
+def _blurred(image: Image, world: Mask) -> Image:
+    """Return an image of the world's blurred colours, spread over all of it."""
     size_wh = image.shape[1::-1]
 
-    def spread(values):
+    def spread(values: Raster) -> Raster:
         small = cv2.resize(values.astype(np.float32), (FILL_WIDTH, FILL_WIDTH // 2),
                            interpolation=cv2.INTER_AREA)
         # A little of everything, for where the blur does not reach.
@@ -93,7 +97,7 @@ def _blurred(image, world):
     return np.rint(spread(image * _like(world, image)) / _like(weights, image)).astype(np.uint8)
 
 
-def _like(mask, image):
+def _like(mask: Raster, image: Image) -> Raster:
     return mask[..., None] if image.ndim == 3 else mask
 
 
@@ -103,22 +107,24 @@ class ShakenStabilizer:
 
     Parameters
     ----------
-    clip, shaken : Stabilizer
-    R_camera_shaken : Rotation
+    clip, shaken
+        Fresh Stabilizers, or what stands in for them.
+    R_camera_shaken
         What to inject, one for each frame to come.
-    body : str
+    body
         What is fixed to the camera and does not turn with the world, as ``load_mask`` takes it.
 
     """
 
-    def __init__(self, clip, shaken, R_camera_shaken, body=''):
+    def __init__(self, clip: FrameProcessor, shaken: FrameProcessor, R_camera_shaken: Rotation,
+                 body: str = '') -> None:
         self._clip = clip
         self._shaken = shaken
         self._R_camera_shaken = R_camera_shaken
         self._body = body
-        self._R_world_camera = []
+        self._R_world_camera: list[Rotation] = []
 
-    def process(self, frame):
+    def process(self, frame: Frame) -> StabilizedFrame:
         """Process a Frame twice; return the StabilizedFrame of the shaken one."""
         R_camera_shaken = self._R_camera_shaken[len(self._R_world_camera)]
         self._R_world_camera.append(self._clip.process(frame).R_world_camera)
@@ -127,10 +133,10 @@ class ShakenStabilizer:
                  turned_world(frame.image, R_camera_shaken, world))
         return self._shaken.process(replace(frame, image=image))
 
-    def clip_rotations(self):
+    def clip_rotations(self) -> Rotation:
         """Return R_world_camera, as found in the clip itself, of the frames so far."""
         return Rotation.concatenate(self._R_world_camera)
 
-    def true_rotations(self):
+    def true_rotations(self) -> Rotation:
         """Return R_world_shaken, as it should be found, of the frames so far."""
         return self.clip_rotations() * self._R_camera_shaken[:len(self._R_world_camera)]

@@ -20,10 +20,12 @@ A page marks a table's place, what it tells and of which results::
 they are. Times differ from run to run and have a table of their own.
 """
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 import json
 from pathlib import Path
 import re
 import sys
+from typing import Any, TypeAlias
 
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.recording import RecordingError
@@ -36,7 +38,13 @@ PAPER_DEG = {'pts': (6.29, 4.09, 9.84), 'moment': (3.54, 3.05, 8.53),
              'pts_epipolar': (1.72, 2.44, 7.36)}
 
 
-def errors(results):
+# What ``evaluate --json`` wrote, a row of cells, and what makes a table.
+Result: TypeAlias = dict[str, Any]
+Row: TypeAlias = tuple[str, ...]
+Table: TypeAlias = Callable[[Sequence[Result]], Iterator[Row]]
+
+
+def errors(results: Sequence[Result]) -> Iterator[Row]:
     """Yield the rows of a table of errors, of one result or of several one after the other."""
     yield ('estimator', 'roll, pitch, yaw: mean absolute', 'geodesic: mean, max, end',
            'per frame: median, max', 'lost frames')
@@ -48,7 +56,7 @@ def errors(results):
                    f'{one["lost_frames"]} of {one["frames"]}')
 
 
-def times(results):
+def times(results: Sequence[Result]) -> Iterator[Row]:
     """Yield the rows of a table of times per frame, a column for each result."""
     yield ('estimator', *(result['recording'] for result in results))
     for name in results[0]['estimators']:
@@ -56,7 +64,7 @@ def times(results):
                               for result in results))
 
 
-def beside(results):
+def beside(results: Sequence[Result]) -> Iterator[Row]:
     """Yield the rows of a table of errors of several recordings, a column for each."""
     yield ('geodesic: mean; per frame: median', *(result['recording'] for result in results))
     for name in results[0]['estimators']:
@@ -66,7 +74,7 @@ def beside(results):
                               for one in estimates))
 
 
-def paper(results):
+def paper(results: Sequence[Result]) -> Iterator[Row]:
     """Yield the rows of a table of mean absolute errors beside the paper's."""
     result, = results
     yield ('roll, pitch, yaw', 'paper, Table 1', 'here, Farneback', 'here, DIS')
@@ -77,7 +85,7 @@ def paper(results):
                *(_degrees(one['mean_abs_error_deg'], *AXES) for one in found))
 
 
-def over_time(results):
+def over_time(results: Sequence[Result]) -> Iterator[Row]:
     """Yield the rows of a table of the geodesic error in the course of time."""
     result, = results
     first = next(iter(result['estimators'].values()))
@@ -86,7 +94,7 @@ def over_time(results):
         yield (f'`{name}`', *(f'{error:.2f}°' for error in one['over_time']['geodesic_deg']))
 
 
-def injected(results):
+def injected(results: Sequence[Result]) -> Iterator[Row]:
     """Yield the rows of a table of rotations injected into clips, several results together."""
     yield ('estimator', 'seed', 'not turned', 'mask', 'turn found in the clip itself',
            'geodesic: mean, max', 'per frame: median, max')
@@ -100,13 +108,14 @@ def injected(results):
                        _degrees(one['per_frame_deg'], 'median', 'max', digits=3))
 
 
-TABLES = {'errors': errors, 'beside': beside, 'times': times, 'paper': paper,
-          'over_time': over_time, 'injected': injected}
+TABLES: dict[str, Table] = {
+    'errors': errors, 'beside': beside, 'times': times, 'paper': paper, 'over_time': over_time,
+    'injected': injected}
 
 
-def filled(page, folder):
+def filled(page: str, folder: Path) -> str:
     """Return a page with the tables of a folder's results in their places."""
-    def block(match):
+    def block(match: re.Match[str]) -> str:
         start, kind, names, end = match.groups()
         files = [folder / f'{name}.json' for name in names.split()]
         if kind not in TABLES:
@@ -118,22 +127,22 @@ def filled(page, folder):
     return BLOCK.sub(block, page)
 
 
-def markdown(rows):
+def markdown(rows: Iterable[Row]) -> str:
     """Return a Markdown table of rows of cells, the first one its head."""
     head, *body = rows
     lines = [head, ['---'] * len(head), *body]
     return '\n' + ''.join(f'| {" | ".join(cells)} |\n' for cells in lines) + '\n'
 
 
-def _degrees(values, *keys, digits=2):
+def _degrees(values: dict[str, float], *keys: str, digits: int = 2) -> str:
     return ', '.join(f'{values[key]:.{digits}f}' for key in keys) + '°'
 
 
-def _spec(mask):
+def _spec(mask: str) -> str:
     return f'`{mask}`' if mask else '–'
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     parser = Parser(prog='python3 -m sph_stab_ros.evaluation.page_tables',
                     description='Write the tables of an evaluation into the pages that show them.')
@@ -141,7 +150,7 @@ def main(argv=None):
     parser.add_argument('pages', metavar='PAGE', type=Path, nargs='+', help='Markdown to fill in')
     args = parser.parse_args(argv)
 
-    def command():
+    def command() -> None:
         for page in args.pages:
             try:
                 text = filled(page.read_text(), args.folder)

@@ -8,8 +8,16 @@
 
 """Figures of an evaluation: orientations against truth, errors over time, methods compared."""
 
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
+
+from sph_stab_ros.evaluation.runs import Errors
+from sph_stab_ros.geometry.arrays import Values
 
 AXES = ('roll', 'pitch', 'yaw')
 # Okabe and Ito's, apart for colour-blind eyes and on grey paper; black is the truth's.
@@ -22,14 +30,14 @@ MIN_ERROR_DEG = 0.01
 GAP_INTERVALS = 2.5
 
 
-def draw(folder, title, errors):
+def draw(folder: Path, title: str, errors: Mapping[str, Errors]) -> None:
     """Write ``orientation.png`` and ``methods.png`` of Errors by estimator into a folder."""
     for name, figure in (('orientation', orientation_figure(title, errors)),
                          ('methods', methods_figure(title, errors))):
         figure.savefig(folder / f'{name}.png', dpi=DPI)
 
 
-def orientation_figure(title, errors):
+def orientation_figure(title: str, errors: Mapping[str, Errors]) -> Figure:
     """
     Return a Figure of roll, pitch, yaw against truth, and their absolute errors (Fig. 16).
 
@@ -67,7 +75,7 @@ def orientation_figure(title, errors):
     return figure
 
 
-def methods_figure(title, errors):
+def methods_figure(title: str, errors: Mapping[str, Errors]) -> Figure:
     """Return a Figure of the mean absolute error of each angle by each estimator (Table 1)."""
     figure = Figure(figsize=(1.6 + 1.5 * len(errors), 4), layout='constrained')
     panel = figure.subplots()
@@ -86,18 +94,18 @@ def methods_figure(title, errors):
     return figure
 
 
-def _logarithmic(panel):
+def _logarithmic(panel: Axes) -> None:
     panel.set_yscale('log')
     panel.set_ylim(bottom=MIN_ERROR_DEG)
     panel.yaxis.set_major_formatter('{x:g}')
 
 
-def _style(number):
+def _style(number: int) -> dict[str, Any]:
     return {'color': COLOURS[number % len(COLOURS)], 'linewidth': 1.2,
             'linestyle': LINES[number % len(LINES)]}
 
 
-def _with_gaps(time_s, values):
+def _with_gaps(time_s: Values, values: Values) -> tuple[Values, Values]:
     """Return both (N + gaps,) with a NaN where frames are missing, so that no line is drawn."""
     intervals_s = np.diff(time_s)
     before = np.flatnonzero(intervals_s > GAP_INTERVALS * np.median(intervals_s)) + 1

@@ -6,12 +6,19 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What ``evaluate`` tells people: lines on the terminal."""
+"""The lines that ``evaluate`` prints."""
 
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeAlias
+
+from sph_stab_ros.evaluation.alignment import Alignment
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 
+# Figures by name, as they are written to JSON.
+Figures: TypeAlias = dict[str, Any]
 
-def error_lines(figures):
+
+def error_lines(figures: Mapping[str, Figures]) -> Iterator[str]:
     """Yield lines of figures by estimator, a table, and another one over time where it is told."""
     left_out = max(one['frames_not_evaluated'] for one in figures.values())
     if left_out:
@@ -22,8 +29,9 @@ def error_lines(figures):
         yield from _table_over_time(figures)
 
 
-def _table(figures):
-    rows = [('estimator', 'roll', 'pitch', 'yaw', 'mean', 'max', 'end', 'median', 'p95', 'max',
+def _table(figures: Mapping[str, Figures]) -> Iterator[str]:
+    rows: list[tuple[str, ...]] = [
+            ('estimator', 'roll', 'pitch', 'yaw', 'mean', 'max', 'end', 'median', 'p95', 'max',
              'drift', 'time', 'frames', 'lost'),
             ('', *3 * ('|deg|',), *6 * ('deg',), 'deg/min', 'ms', '', '')]
     for name, one in figures.items():
@@ -41,7 +49,7 @@ def _table(figures):
     yield from _in_columns(rows)
 
 
-def _table_over_time(figures):
+def _table_over_time(figures: Mapping[str, Figures]) -> Iterator[str]:
     times_s = next(iter(figures.values()))['over_time']['time_s']
     yield 'geodesic [deg] after'
     yield from _in_columns([
@@ -50,14 +58,14 @@ def _table_over_time(figures):
           for name, one in figures.items())])
 
 
-def _in_columns(rows):
+def _in_columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
     """Yield lines of rows of cells, the first to the left."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     for name, *cells in rows:
         yield '  '.join((name.ljust(widths[0]), *map(str.rjust, cells, widths[1:]))).rstrip()
 
 
-def describe(alignment, mount_given):
+def describe(alignment: Alignment, mount_given: bool) -> Figures:
     """Return the Alignment as figures; the mount's angles as ``--mount`` takes them."""
     yaw, pitch, roll = (R_BODY_CAMERA.inv() * alignment.R_body_camera).as_euler(
         'YXZ', degrees=True).tolist()
@@ -70,7 +78,7 @@ def describe(alignment, mount_given):
     }
 
 
-def alignment_lines(about, clock_solved):
+def alignment_lines(about: Figures, clock_solved: bool) -> Iterator[str]:
     """Yield lines for people of what ``describe`` returned."""
     mount = about['mount']
     if mount['source'] == 'assumed':
@@ -83,7 +91,7 @@ def alignment_lines(about, clock_solved):
     yield f'clock offset, {how}: {about["clock_offset_s"]:+.4f} s (stamps of truth minus images)'
 
 
-def injection_line(about, figures):
+def injection_line(about: Figures, figures: Mapping[str, Figures]) -> str:
     """Return a line for people on what was injected, and on the clip itself."""
     kept = f' except {about["body"]}' if about['body'] else ''
     turns = ', '.join(f'{name} {one["clip_turn_deg"]:.1f} deg' for name, one in figures.items())

@@ -7,27 +7,38 @@
 # language governing permissions and limitations under the License.
 
 """
-Errors of estimated orientations against true ones.
+Run estimators over a recording and compare their orientations with ground truth.
 
-All are of orientations relative to the first frame evaluated. Roll, pitch and yaw are those of the
-camera's own REP 103 body (x forward along the image centre, y left, z up), not of the truth's,
-whose axes point anywhere on a motion-capture rigid body.
+All errors are of orientations relative to the first frame evaluated. Roll, pitch and yaw are those
+of the camera's own REP 103 body (x forward along the image centre, y left, z up), not of the
+truth's, whose axes point anywhere on a motion-capture rigid body.
 """
 
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from time import perf_counter
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.evaluation.alignment import (
     align_trajectories, Alignment, check_overlap, EvaluationError, has_truth)
 from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabilizer
+from sph_stab_ros.evaluation.report import Figures
+from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.trajectory import Trajectory
-from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.recording import Recording
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 from sph_stab_ros.tracking import TrackingStatus
+
+# Passes on the frames that the estimator of a name is given, and may tell of it.
+Progress: TypeAlias = Callable[[str, Iterator[Frame]], Iterable[Frame]]
 
 
 @dataclass(frozen=True)
@@ -41,20 +52,20 @@ class Errors:
     ``drift_deg_per_min`` the constant angular velocity that fits the error best.
     """
 
-    time_s: np.ndarray
-    truth_rpy_deg: np.ndarray
-    estimate_rpy_deg: np.ndarray
-    geodesic_deg: np.ndarray
-    per_frame_deg: np.ndarray
+    time_s: Values
+    truth_rpy_deg: Vectors
+    estimate_rpy_deg: Vectors
+    geodesic_deg: Values
+    per_frame_deg: Values
     drift_deg_per_min: float
 
     @property
-    def absolute_rpy_deg(self):
+    def absolute_rpy_deg(self) -> Vectors:
         """Absolute errors (N, 3) of roll, pitch and yaw."""
         difference = self.estimate_rpy_deg - self.truth_rpy_deg
         return np.abs((difference + 180) % 360 - 180)
 
-    def summary(self):
+    def summary(self) -> Figures:
         """Return the figures by name, in degrees, ready for JSON."""
         roll, pitch, yaw = self.absolute_rpy_deg.mean(axis=0).tolist()
         return {
@@ -71,7 +82,7 @@ class Errors:
             'drift_deg_per_min': self.drift_deg_per_min,
         }
 
-    def over_time(self, period_s):
+    def over_time(self, period_s: float) -> dict[str, list[float]]:
         """Return the geodesic error at the frames nearest to each multiple of a period."""
         # The frame that would close the last period need not be there.
         end_s = self.time_s[-1] + np.median(np.diff(self.time_s))
@@ -83,7 +94,7 @@ class Errors:
                 'geodesic_deg': self.geodesic_deg[nearest].tolist()}
 
 
-def compare(truth, estimate, alignment):
+def compare(truth: Trajectory, estimate: Trajectory, alignment: Alignment) -> Errors:
     """
     Return the Errors of the Trajectory ``estimate`` against ``truth`` at the estimate's stamps.
 
@@ -100,7 +111,8 @@ def compare(truth, estimate, alignment):
     return errors(stamps_ns[known], R_mocap_camera, estimate.rotations[known], consecutive)
 
 
-def errors(stamps_ns, R_mocap_camera, R_world_camera, consecutive=slice(None)):
+def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation,
+           consecutive: Choice | slice = slice(None)) -> Errors:
     """
     Return the Errors of N orientations of the camera, true and estimated, in any two worlds.
 
@@ -121,7 +133,7 @@ def errors(stamps_ns, R_mocap_camera, R_world_camera, consecutive=slice(None)):
         float(np.linalg.norm(time_s @ error) / (time_s @ time_s) * 60))
 
 
-def _roll_pitch_yaw_deg(R_first_body):
+def _roll_pitch_yaw_deg(R_first_body: Rotation) -> Vectors:
     """Return (N, 3) degrees of ``R = R_z(yaw) R_y(pitch) R_x(roll)``, without jumps of 360°."""
     return np.unwrap(R_first_body.as_euler('ZYX', degrees=True)[:, ::-1], axis=0, period=360)
 
@@ -129,12 +141,14 @@ def _roll_pitch_yaw_deg(R_first_body):
 class Run:
     """A Stabilizer that keeps the orientations it finds, and how long each took."""
 
-    def __init__(self, config):
+    def __init__(self, config: StabilizerConfig) -> None:
         self._stabilizer = Stabilizer(config)
-        self._stamps_ns, self._rotations, self._times_s = [], [], []
+        self._stamps_ns: list[int] = []
+        self._rotations: list[Rotation] = []
+        self._times_s: list[float] = []
         self._lost = 0
 
-    def process(self, frame):
+    def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of a Frame."""
         start_s = perf_counter()
         stabilized = self._stabilizer.process(frame)
@@ -144,15 +158,15 @@ class Run:
         self._lost += stabilized.status is not TrackingStatus.OK
         return stabilized
 
-    def trajectory(self):
+    def trajectory(self) -> Trajectory:
         """Return the Trajectory found; frames whose stamps go back are left out."""
         return increasing(self._stamps_ns, Rotation.concatenate(self._rotations))
 
-    def true_trajectory(self, rotations):
+    def true_trajectory(self, rotations: Rotation) -> Trajectory:
         """Return the Trajectory of other orientations of the same frames."""
         return increasing(self._stamps_ns, rotations)
 
-    def summary(self, errors):
+    def summary(self, errors: Errors) -> Figures:
         """
         Return the figures of the run and its Errors.
 
@@ -165,8 +179,11 @@ class Run:
             'frames_not_evaluated': len(self._times_s) - len(errors.time_s)}
 
 
-def evaluate_against_truth(recording, configs, truth, R_body_camera=None, clock_offset_ns=0,
-                           max_frames=None, progress=lambda name, frames: frames):
+def evaluate_against_truth(
+        recording: Recording, configs: Mapping[str, StabilizerConfig], truth: Trajectory,
+        R_body_camera: Rotation | None = None, clock_offset_ns: int | None = 0,
+        max_frames: int | None = None, progress: Progress = lambda name, frames: frames
+        ) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
 
@@ -193,8 +210,10 @@ def evaluate_against_truth(recording, configs, truth, R_body_camera=None, clock_
     return alignment, errors, {name: run.summary(errors[name]) for name, run in runs.items()}
 
 
-def evaluate_injected(recording, configs, seed, frames, body='',
-                      progress=lambda name, frames: frames):
+def evaluate_injected(
+        recording: Recording, configs: Mapping[str, StabilizerConfig], seed: int, frames: int,
+        body: str = '', progress: Progress = lambda name, frames: frames
+        ) -> tuple[dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, on so many frames turned by the rotations of a seed.
 
@@ -217,9 +236,9 @@ def evaluate_injected(recording, configs, seed, frames, body='',
     return errors, figures
 
 
-def increasing(stamps_ns, rotations):
+def increasing(stamps_ns: ArrayLike, rotations: Rotation) -> Trajectory:
     """Return the Trajectory of those of N orientations that are later than all before."""
-    stamps_ns = np.asarray(stamps_ns, np.int64)
-    latest_ns = np.maximum.accumulate(stamps_ns)
-    later = np.append(True, stamps_ns[1:] > latest_ns[:-1])
-    return Trajectory(stamps_ns[later], rotations[later])
+    given_ns = np.asarray(stamps_ns, np.int64)
+    latest_ns = np.maximum.accumulate(given_ns)
+    later = np.append(True, given_ns[1:] > latest_ns[:-1])
+    return Trajectory(given_ns[later], rotations[later])

@@ -6,17 +6,25 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A recording of two fisheye circles as one of spheres, for whatever needs spheres."""
+"""
+A recording of two fisheye circles, read as equirectangular pictures.
+
+Injected rotations and figures need those. The circles are stitched, that is joined into one
+sphere; nothing is turned or stabilised here.
+"""
 
 from collections import Counter
+from collections.abc import Generator
 from dataclasses import replace
 
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionError
 from sph_stab_ros.geometry.warp import equirect_warp
-from sph_stab_ros.recording.base import SkipLog
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.recording.base import Recording, SkipLog
 
 
 class Stitched:
@@ -25,13 +33,13 @@ class Stitched:
 
     Parameters
     ----------
-    recording : Recording
-    config : StabilizerConfig
+    recording
+    config
         What its pictures are.
 
     """
 
-    def __init__(self, recording, config):
+    def __init__(self, recording: Recording, config: StabilizerConfig) -> None:
         self._recording = recording
         self._config = config
         self._skip_log = SkipLog(recording.name)
@@ -42,11 +50,11 @@ class Stitched:
         self.messages = recording.messages
 
     @property
-    def skipped(self):
+    def skipped(self) -> Counter[str]:
         """Count the pictures left out so far, by reason."""
         return Counter(self._recording.skipped) + self._skip_log.counts
 
-    def frames(self):
+    def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames as spheres, not turned; those of another size are left out."""
         self._skip_log = SkipLog(self.name)
         for frame in self._recording.frames():

@@ -9,11 +9,17 @@
 """Equirectangular geometry: pixels and bearings, solid angles, padding across seam and poles."""
 
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sph_stab_ros.geometry.arrays import Bearings, Pixels, Values
+
+Element = TypeVar('Element', bound=np.generic)
 
 
-def bearings_from_pixels(uv, width):
+def bearings_from_pixels(uv: ArrayLike, width: int) -> Bearings:
     """
     Return unit bearings (..., 3) of pixels (..., 2), given as (u, v), in an image ``width`` wide.
 
@@ -28,7 +34,7 @@ def bearings_from_pixels(uv, width):
     return np.stack((cos_lat * np.sin(lon), -np.sin(lat), cos_lat * np.cos(lon)), axis=-1)
 
 
-def pixels_from_bearings(bearings, width):
+def pixels_from_bearings(bearings: ArrayLike, width: int) -> Pixels:
     """
     Return pixels (..., 2), as (u, v), of bearings (..., 3) of any length.
 
@@ -44,7 +50,7 @@ def pixels_from_bearings(bearings, width):
 
 
 @lru_cache(maxsize=8)
-def bearing_grid(width):
+def bearing_grid(width: int) -> Bearings:
     """Return the read-only float32 bearings (W/2, W, 3) of every pixel centre."""
     v, u = np.mgrid[:width // 2, :width]
     grid = bearings_from_pixels(np.stack((u, v), axis=-1), width).astype(np.float32)
@@ -53,7 +59,7 @@ def bearing_grid(width):
 
 
 @lru_cache(maxsize=8)
-def row_solid_angles(width):
+def row_solid_angles(width: int) -> Values:
     """
     Return the solid angle (W/2,) in steradians of one pixel of each row.
 
@@ -65,7 +71,7 @@ def row_solid_angles(width):
     return areas
 
 
-def pad_sphere(image, margin_px):
+def pad_sphere(image: NDArray[Element], margin_px: int) -> NDArray[Element]:
     """
     Return (H, W, ...) continued by ``margin_px`` on all four sides, as the sphere goes on.
 
@@ -85,7 +91,7 @@ def pad_sphere(image, margin_px):
     return padded
 
 
-def is_equirect(shape):
+def is_equirect(shape: tuple[int, ...]) -> bool:
     """Tell whether an image shape (H, W, ...) is a non-empty sphere, W = 2 H."""
     height, width = shape[:2]
     return height > 0 and width == 2 * height

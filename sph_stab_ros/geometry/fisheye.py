@@ -10,18 +10,24 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.projection import bend, bent_cells
+from sph_stab_ros.config import FisheyeConfig, LensConfig
+from sph_stab_ros.geometry.arrays import Bearings, Floats, Grey, Mask, Plane, Raster
+from sph_stab_ros.geometry.projection import bend, bent_cells, Picture
 from sph_stab_ros.geometry.warp import equirect_warp, view_rotation
 
 # Relative difference of width to height up to which a picture is taken for a scaled one.
 ASPECT_TOLERANCE = 0.005
 # Pictures are reduced for a grey sphere so much smaller.
 MIN_REDUCTION = 0.75
+
+Angle = TypeVar('Angle', float, Floats)
 
 
 @dataclass(frozen=True)
@@ -34,13 +40,13 @@ class Lens:
     picture, y down, z along the axis.
     """
 
-    center_px: tuple
+    center_px: tuple[float, float]
     radius_px: float
     k1: float
     k2: float
     R_camera_lens: Rotation
 
-    def pixels(self, xyz):
+    def pixels(self, xyz: Bearings) -> tuple[Plane, Plane, Plane]:
         """
         Return u, v and the angle in radians off the axis, each (h, w), of bearings (h, w, 3).
 
@@ -55,7 +61,7 @@ class Lens:
         scale /= np.maximum(rho, 1e-9)
         return x * scale + self.center_px[0], y * scale + self.center_px[1], theta
 
-    def bearings(self, uv):
+    def bearings(self, uv: ArrayLike) -> Bearings:
         """Return where pixels (..., 2) look: unit vectors (..., 3) in the camera's frame."""
         offsets = np.asarray(uv) - self.center_px
         radius = np.linalg.norm(offsets, axis=-1)
@@ -68,12 +74,12 @@ class Lens:
         rays = np.concatenate((xy, np.cos(theta)[..., None]), axis=-1)
         return rays @ self.R_camera_lens.as_matrix().T
 
-    def scaled(self, scale):
+    def scaled(self, scale: float) -> 'Lens':
         """Return the Lens in the picture scaled by a factor."""
-        center_px = tuple((one + 0.5) * scale - 0.5 for one in self.center_px)
-        return replace(self, center_px=center_px, radius_px=self.radius_px * scale)
+        u, v = ((one + 0.5) * scale - 0.5 for one in self.center_px)
+        return replace(self, center_px=(u, v), radius_px=self.radius_px * scale)
 
-    def _bent(self, theta):
+    def _bent(self, theta: Angle) -> Angle:
         square = theta * theta
         return theta * (1 + square * (self.k1 + self.k2 * square))
 
@@ -93,16 +99,16 @@ class DualFisheye:
 
     border = cv2.BORDER_REPLICATE
 
-    def __init__(self, front, rear, blend_rad):
+    def __init__(self, front: Lens, rear: Lens, blend_rad: float) -> None:
         self.lenses = front, rear
         self.blend_rad = blend_rad
 
     @property
-    def sphere_width(self):
+    def sphere_width(self) -> int:
         """Width of an equirectangular image with as many pixels from zenith to horizon."""
         return 4 * round(sum(lens.radius_px for lens in self.lenses) / 2)
 
-    def nodes(self, x, y, z):
+    def nodes(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
         """Return u, v and which cells do not interpolate: those where the lenses overlap."""
         xyz = cv2.merge((x, y, z))
         front, rear = (lens.pixels(xyz) for lens in self.lenses)
@@ -112,7 +118,7 @@ class DualFisheye:
         uneven = cv2.dilate(blended, np.ones((2, 2)), anchor=(0, 0))[:-1, :-1] > 0
         return u, v, uneven | bent_cells(np.maximum(bend(u), bend(v)))
 
-    def read(self, image, x, y, z):
+    def read(self, image: Raster, x: Plane, y: Plane, z: Plane) -> Raster:
         """Return the values along bearings, where lenses overlap the mean by their shares."""
         xyz = cv2.merge((x, y, z))
         front, rear = (lens.pixels(xyz) for lens in self.lenses)
@@ -121,7 +127,7 @@ class DualFisheye:
                   for one in (front, rear))
         return cv2.blendLinear(*values, share, 1 - share)
 
-    def grey_sphere(self, frame, width):
+    def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey sphere (width / 2, width)."""
         image = frame.image
         grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
@@ -132,17 +138,18 @@ class DualFisheye:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         return equirect_warp(width)(grey, Rotation.identity(), self.scaled(scale))
 
-    def scaled(self, scale):
+    def scaled(self, scale: float) -> 'DualFisheye':
         """Return the DualFisheye of the picture scaled by a factor."""
-        return DualFisheye(*(lens.scaled(scale) for lens in self.lenses), self.blend_rad)
+        front, rear = (lens.scaled(scale) for lens in self.lenses)
+        return DualFisheye(front, rear, self.blend_rad)
 
-    def _share(self, front, rear):
+    def _share(self, front: tuple[Plane, ...], rear: tuple[Plane, ...]) -> Plane:
         """Return the share (h, w) of the front lens, 1 far from the border and 0 beyond it."""
         inside = (rear[2] - front[2]) / np.float32(2 * max(self.blend_rad, 1e-6))
         return np.clip(inside + np.float32(0.5), 0, 1)
 
 
-def fits(config, size_wh):
+def fits(config: FisheyeConfig, size_wh: tuple[int, int]) -> bool:
     """Tell whether pictures (width, height) are those of a FisheyeConfig, scaled perhaps."""
     width, height = size_wh
     expected_width = height * config.width / config.height
@@ -150,7 +157,7 @@ def fits(config, size_wh):
 
 
 @lru_cache(maxsize=8)
-def dual_fisheye(config, size_wh):
+def dual_fisheye(config: FisheyeConfig, size_wh: tuple[int, int]) -> DualFisheye:
     """Return the DualFisheye of a FisheyeConfig for pictures (width, height) that it fits."""
     # Both lenses see it.
     overlap_deg = min(config.blend_deg, config.fov_deg - 180)
@@ -159,7 +166,7 @@ def dual_fisheye(config, size_wh):
             size_wh[0] / config.width)
 
 
-def lens_of(config):
+def lens_of(config: LensConfig) -> Lens:
     """Return the Lens of a LensConfig."""
     return Lens(
         (config.center_u_px, config.center_v_px), config.radius_px, config.k1, config.k2,

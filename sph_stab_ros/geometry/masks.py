@@ -6,13 +6,14 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Which pixels to use: a robot sees its own body, which does not turn against the camera."""
+"""Masks of pixels to use: the robot's own body, which turns with the camera, is left out."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from sph_stab_ros.geometry.arrays import Mask
 from sph_stab_ros.geometry.equirect import is_equirect, row_solid_angles
 
 LATITUDE_PREFIX = 'lat:'
@@ -22,7 +23,7 @@ class MaskError(ValueError):
     """A mask that cannot be read; the message is one line for the user."""
 
 
-def load_mask(spec, width):
+def load_mask(spec: str, width: int) -> Mask | None:
     """
     Return the pixels to use (W/2, W) bool that ``spec`` describes, or None for all.
 
@@ -46,20 +47,20 @@ def load_mask(spec, width):
     return used
 
 
-def share_of_sphere(pixels):
+def share_of_sphere(pixels: Mask) -> float:
     """Return the share of the whole solid angle that pixels (H, W) bool cover."""
     width = pixels.shape[1]
     return float(pixels.sum(axis=1) @ row_solid_angles(width) / (4 * np.pi))
 
 
-def antipodal(used):
+def antipodal(used: Mask | None) -> Mask | None:
     """Return the pixels (H, W) of a mask whose antipodes belong to it too; None stays None."""
     if used is None:
         return None
     return used & np.roll(used[::-1], used.shape[1] // 2, axis=1)
 
 
-def _outside_latitudes(spec, width):
+def _outside_latitudes(spec: str, width: int) -> Mask:
     try:
         low_deg, high_deg = map(float, spec[len(LATITUDE_PREFIX):].split(','))
     except ValueError:

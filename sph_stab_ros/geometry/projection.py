@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""How a picture holds the sphere: which of its pixels shows what lies in a direction."""
+"""How a picture shows the sphere: which of its pixels is seen along a bearing."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
@@ -15,9 +15,21 @@ import cv2
 import numpy as np
 
 from sph_stab_ros import kernels
+from sph_stab_ros.geometry.arrays import Grey, Image, Mask, Plane, Raster
 
 # Of the order of cv2.remap's own fixed-point step, 1/32 px.
 TOLERANCE_PX = 0.1
+
+
+class Picture(Protocol):
+    """What a Projection asks of a Frame, to make it grey."""
+
+    @property
+    def image(self) -> Image:
+        """Return the whole picture."""
+
+    def at_least(self, width: int) -> Image:
+        """Return the picture, or a smaller one of it that is as wide as this."""
 
 
 class Projection(Protocol):
@@ -27,14 +39,15 @@ class Projection(Protocol):
     Bearings come as planes x, y, z (h, w) float32, of any length, in the camera's frame.
     """
 
-    # OpenCV's name for what lies beyond the picture's edges.
-    border: int
+    @property
+    def border(self) -> int:
+        """Name what lies beyond the picture's edges, as OpenCV does."""
 
     @property
     def sphere_width(self) -> int:
         """Width of an equirectangular image with as many pixels per radian."""
 
-    def nodes(self, x, y, z):
+    def nodes(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
         """
         Return what holds the bearings of nodes, the corners of cells.
 
@@ -42,10 +55,10 @@ class Projection(Protocol):
         are not to be interpolated.
         """
 
-    def read(self, image, x, y, z):
+    def read(self, image: Raster, x: Plane, y: Plane, z: Plane) -> Raster:
         """Return the values (h, w[, C]) of the picture along bearings, exactly."""
 
-    def grey_sphere(self, frame, width):
+    def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey sphere (width / 2, width) to track in."""
 
 
@@ -62,11 +75,11 @@ class Equirect:
     border: ClassVar[int] = cv2.BORDER_WRAP
 
     @property
-    def sphere_width(self):
+    def sphere_width(self) -> int:
         """Width of the image."""
         return self.width
 
-    def pixels(self, x, y, z):
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane]:
         """
         Return u, v (h, w) float32 of bearings.
 
@@ -81,24 +94,24 @@ class Equirect:
         v = np.arctan2(y, np.hypot(x, z)) * rad_to_px + np.float32(self.width / 4 - 0.5)
         return u, np.clip(v, 0, self.width / 2 - 1, out=v)
 
-    def nodes(self, x, y, z):
+    def nodes(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
         """Return u, v and the uneven cells: at the seam and around the poles."""
         u, v = self.pixels(x, y, z)
         # Towards the poles the same arc spans more and more columns.
         lat = (v - np.float32(self.width / 4 - 0.5)) * np.float32(2 * np.pi / self.width)
         return u, v, bent_cells(np.maximum(bend(u) * np.cos(lat), bend(v)))
 
-    def read(self, image, x, y, z):
+    def read(self, image: Raster, x: Plane, y: Plane, z: Plane) -> Raster:
         """Return the values along bearings with bilinear weights."""
         return cv2.remap(image, *self.pixels(x, y, z), cv2.INTER_LINEAR,
                          borderMode=self.border)
 
-    def grey_sphere(self, frame, width):
+    def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey one (width / 2, width)."""
         return to_grey(frame.at_least(width), width)
 
 
-def to_grey(image, width):
+def to_grey(image: Image, width: int) -> Grey:
     """Return the sphere (H, W[, 3]), BGR or grey, as a grey one (width / 2, width)."""
     # Grey first: one channel is reduced in a third of the time of three.
     if image.ndim == 3:
@@ -108,7 +121,7 @@ def to_grey(image, width):
     return image
 
 
-def bend(values):
+def bend(values: Plane) -> Plane:
     """Return the nodes' largest second difference (h, w): along u, along v, or of both added."""
     inner = values[1:-1, 1:-1]
     twice = inner + inner
@@ -119,7 +132,7 @@ def bend(values):
     return cv2.copyMakeBorder(largest, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
 
 
-def bent_cells(bend_px):
+def bent_cells(bend_px: Plane) -> Mask:
     """
     Tell in which cells interpolation may miss by more than the tolerance.
 

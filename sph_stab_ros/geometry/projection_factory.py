@@ -6,12 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Which Projection the pictures of a stream have, by the config and their size."""
+"""Choose the Projection of a stream's pictures by the config and their size."""
 
-from sph_stab_ros.config import DUAL_FISHEYE, MIN_WIDTH
+from sph_stab_ros.config import DUAL_FISHEYE, MIN_WIDTH, StabilizerConfig
 from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.fisheye import dual_fisheye, fits
-from sph_stab_ros.geometry.projection import Equirect
+from sph_stab_ros.geometry.projection import Equirect, Projection
 
 
 class ProjectionError(ValueError):
@@ -21,14 +21,15 @@ class ProjectionError(ValueError):
     ``reason`` is one of a few fixed phrases, by which such pictures are counted.
     """
 
-    def __init__(self, reason, detail):
+    def __init__(self, reason: str, detail: str) -> None:
         super().__init__(f'{reason}: {detail}')
         self.reason = reason
 
 
-def projection_of(size_wh, config):
+def projection_of(size_wh: tuple[int, int], config: StabilizerConfig) -> Projection:
     """Return the Projection of images of a size by a config, or raise ProjectionError."""
     width, height = size_wh
+    projection: Projection
     if config.projection == DUAL_FISHEYE:
         fisheye = config.fisheye
         if not fits(fisheye, (width, height)):

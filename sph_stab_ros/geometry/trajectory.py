@@ -13,8 +13,10 @@ import logging
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
+from sph_stab_ros.geometry.arrays import Choice
 from sph_stab_ros.geometry.conventions import NS_PER_S
 
 logger = logging.getLogger(__name__)
@@ -32,7 +34,7 @@ class Trajectory:
 
     """
 
-    def __init__(self, stamps_ns, rotations):
+    def __init__(self, stamps_ns: ArrayLike, rotations: Rotation) -> None:
         self.stamps_ns = np.asarray(stamps_ns, np.int64)
         self.rotations = rotations
         if self.stamps_ns.ndim != 1 or not len(self.stamps_ns):
@@ -42,15 +44,15 @@ class Trajectory:
         if np.any(np.diff(self.stamps_ns) <= 0):
             raise ValueError('the stamps of a trajectory must increase strictly')
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.stamps_ns)
 
-    def covers(self, stamps_ns):
+    def covers(self, stamps_ns: ArrayLike) -> Choice:
         """Tell which of the stamps (M,) lie between the first and the last one, as (M,) bool."""
         stamps_ns = np.asarray(stamps_ns, np.int64)
         return (self.stamps_ns[0] <= stamps_ns) & (stamps_ns <= self.stamps_ns[-1])
 
-    def at(self, stamps_ns):
+    def at(self, stamps_ns: ArrayLike) -> Rotation:
         """Return the orientations at stamps (M,) by slerp; ValueError outside of them."""
         stamps_ns = np.asarray(stamps_ns, np.int64)
         if not np.all(self.covers(stamps_ns)):
@@ -61,12 +63,12 @@ class Trajectory:
         slerp = Slerp((self.stamps_ns - self.stamps_ns[0]) / NS_PER_S, self.rotations)
         return slerp((stamps_ns - self.stamps_ns[0]) / NS_PER_S)
 
-    def relative_to_first(self):
+    def relative_to_first(self) -> 'Trajectory':
         """Return the same motion seen from its first orientation: R_first⁻¹ R."""
         return Trajectory(self.stamps_ns, self.rotations[0].inv() * self.rotations)
 
 
-def tum_line(stamp_ns, rotation):
+def tum_line(stamp_ns: int, rotation: Rotation) -> str:
     """Return ``stamp 0 0 0 qx qy qz qw`` and a newline; the stamp in seconds, 9 decimals."""
     sign = '-' if stamp_ns < 0 else ''
     seconds, nanoseconds = divmod(abs(int(stamp_ns)), NS_PER_S)
@@ -74,22 +76,24 @@ def tum_line(stamp_ns, rotation):
     return f'{sign}{seconds}.{nanoseconds:09d} 0 0 0 {x:.9f} {y:.9f} {z:.9f} {w:.9f}\n'
 
 
-def read_tum(path):
+def read_tum(path: str | Path) -> Trajectory:
     """
     Return the Trajectory of a TUM file; ValueError with the line's number where it is not one.
 
     A recording with repeated or backward stamps gives such lines too; what is not later than all
     lines before is left out, with a warning.
     """
-    stamps_ns, quaternions, left_out = [], [], 0
+    stamps_ns: list[int] = []
+    quaternions: list[list[float]] = []
+    left_out = 0
     for number, line in enumerate(Path(path).read_text().splitlines(), 1):
         fields = line.split('#')[0].split()
         if not fields:
             continue
         try:
-            stamp, _, _, _, *quaternion = fields
+            stamp, _, _, _, *numbers = fields
             stamp_ns = int(Decimal(stamp) * NS_PER_S)
-            quaternion = [float(q) for q in quaternion]
+            quaternion = [float(q) for q in numbers]
         except (ValueError, InvalidOperation):
             quaternion = []
         if len(quaternion) != 4:

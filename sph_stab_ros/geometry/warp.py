@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-One inverse warp: a turned sphere, or a perspective view, out of a spherical picture.
+The inverse warp: a rotated sphere, or a perspective view, out of a spherical picture.
 
 Each pixel of the target looks along a bearing; rotated into the source frame it says where to
 read. Computing that for every pixel takes as long as reading where it is compiled and three times
@@ -16,14 +16,20 @@ map is computed on a grid and interpolated. Where it is not smooth, at an equire
 seam and poles or where two lenses overlap, it is computed pixel by pixel.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
+from typing import TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bearings, Mask, Pixels, Plane, Raster
 from sph_stab_ros.geometry.equirect import bearings_from_pixels
-from sph_stab_ros.geometry.projection import Equirect
+from sph_stab_ros.geometry.projection import Equirect, Projection
+
+Element = TypeVar('Element', bound=np.generic)
 
 # Larger cells have fewer nodes but larger surroundings of the poles to compute exactly.
 CELL_PX = 6
@@ -31,7 +37,7 @@ CELL_PX = 6
 BATCH_CELLS = 1 << 12
 
 
-def rotate_equirect(image, R_source_target):
+def rotate_equirect(image: NDArray[Element], R_source_target: Rotation) -> NDArray[Element]:
     """
     Return the sphere ``image`` (H, W[, C]) as a camera turned by ``R_source_target`` sees it.
 
@@ -41,7 +47,8 @@ def rotate_equirect(image, R_source_target):
     return equirect_warp(image.shape[1])(image, R_source_target)
 
 
-def perspective_view(image, R_source_view, hfov_rad, size_wh):
+def perspective_view(image: NDArray[Element], R_source_view: Rotation, hfov_rad: float,
+                     size_wh: tuple[int, int]) -> NDArray[Element]:
     """
     Return the pinhole view (h, w[, C]) of the sphere ``image`` along ``R_source_view``.
 
@@ -51,12 +58,12 @@ def perspective_view(image, R_source_view, hfov_rad, size_wh):
     return perspective_warp(float(hfov_rad), *size_wh)(image, R_source_view)
 
 
-def view_rotation(yaw_rad=0., pitch_rad=0., roll_rad=0.):
+def view_rotation(yaw_rad: float = 0., pitch_rad: float = 0., roll_rad: float = 0.) -> Rotation:
     """Return ``R_world_view`` from yaw (left), pitch (up) and roll (clockwise as seen)."""
     return Rotation.from_euler('YXZ', (-yaw_rad, pitch_rad, roll_rad))
 
 
-def focal_length_px(hfov_rad, width):
+def focal_length_px(hfov_rad: float, width: int) -> float:
     """Return the focal length in pixels of a pinhole image ``width`` wide."""
     return width / (2 * np.tan(hfov_rad / 2))
 
@@ -77,7 +84,8 @@ class InverseWarp:
 
     """
 
-    def __init__(self, target_bearings, size_wh, cell_px=CELL_PX):
+    def __init__(self, target_bearings: Callable[[Pixels], Bearings], size_wh: tuple[int, int],
+                 cell_px: int = CELL_PX) -> None:
         self.size_wh = size_wh
         self._cell_px = cell_px
         self._columns, self._rows = (max(-(-size // cell_px), 2) for size in size_wh)
@@ -91,7 +99,9 @@ class InverseWarp:
         # Of a cell's corners in the order of _exact, (4, pixels).
         self._corner_weights = np.einsum('iv,ju->ijvu', along, along).reshape(4, -1)
 
-    def __call__(self, image, R_source_target, projection=None, node_bearings=None):
+    def __call__(self, image: NDArray[Element], R_source_target: Rotation,
+                 projection: Projection | None = None,
+                 node_bearings: Bearings | None = None) -> NDArray[Element]:
         """
         Return the target (h, w[, C]) read from the spherical ``image`` with bilinear weights.
 
@@ -119,7 +129,7 @@ class InverseWarp:
         width, height = self.size_wh
         return np.ascontiguousarray(target[:height, :width])
 
-    def _interpolated(self, image, u, v, border):
+    def _interpolated(self, image: Raster, u: Plane, v: Plane, border: int) -> Raster:
         """Return the target, of whole cells, read where the pixels between nodes interpolate."""
         cell = self._cell_px
         # cv2.resize puts node j at pixel cell · (j + 0.5) − 0.5.
@@ -128,7 +138,8 @@ class InverseWarp:
         maps = [cv2.resize(one, None, fx=cell, fy=cell)[inner, inner] for one in (u, v)]
         return cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=border)
 
-    def _fill_exactly(self, target, uneven, image, xyz, projection):
+    def _fill_exactly(self, target: Raster, uneven: Mask, image: Raster,
+                      xyz: tuple[Plane, Plane, Plane], projection: Projection) -> None:
         """Read the pixels of cells (rows, columns) along their own bearings, into the target."""
         cell = self._cell_px
         # A row of a cell's pixels at a time is one item.
@@ -145,7 +156,7 @@ class InverseWarp:
 
 
 @lru_cache(maxsize=8)
-def equirect_warp(width):
+def equirect_warp(width: int) -> InverseWarp:
     """Return the inverse warp into an equirectangular image (width / 2, width)."""
     # Bearings bend; within cells of 1/100 rad to be on the safe side they interpolate.
     cell_px = 2 * min(max(width // 200, 1), CELL_PX // 2)
@@ -154,7 +165,7 @@ def equirect_warp(width):
 
 
 @lru_cache(maxsize=16)
-def perspective_warp(hfov_rad, width, height):
+def perspective_warp(hfov_rad: float, width: int, height: int) -> InverseWarp:
     """Return the inverse warp into a pinhole image (height, width)."""
     if not 0 < hfov_rad < np.pi:
         raise ValueError(
@@ -163,7 +174,7 @@ def perspective_warp(hfov_rad, width, height):
         lambda uv: perspective_rays(uv, hfov_rad, width, height), (width, height))
 
 
-def perspective_rays(uv, hfov_rad, width, height):
+def perspective_rays(uv: Pixels, hfov_rad: float, width: int, height: int) -> Bearings:
     """Return vectors (..., 3) along which pixels (..., 2) of a pinhole image look, z = 1."""
     xy = (uv - np.array(((width - 1) / 2, (height - 1) / 2))) / focal_length_px(hfov_rad, width)
     return np.concatenate((xy, np.ones_like(xy[..., :1])), axis=-1)

@@ -13,14 +13,19 @@ Messages are used by their field names only, so that those of rclpy and those of
 both work.
 """
 
+from typing import Any
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+
+from sph_stab_ros.geometry.arrays import Image
 
 JPEG_QUALITY = 90
 JPEG, PNG = 'JPEG', 'PNG'
 
 # Encoding: channels, and the conversion into BGR or grey where one is needed.
-ENCODINGS = {
+ENCODINGS: dict[str, tuple[int, int | None]] = {
     'bgr8': (3, None),
     'rgb8': (3, cv2.COLOR_RGB2BGR),
     'bgra8': (4, cv2.COLOR_BGRA2BGR),
@@ -37,12 +42,12 @@ class ImageError(ValueError):
     what is wrong with this one.
     """
 
-    def __init__(self, reason, detail):
+    def __init__(self, reason: str, detail: str) -> None:
         super().__init__(f'{reason}: {detail}')
         self.reason = reason
 
 
-def image_from_message(msg):
+def image_from_message(msg: Any) -> Image:
     """
     Return the picture (H, W, 3) BGR or (H, W) grey, uint8, of an Image or CompressedImage message.
 
@@ -52,7 +57,7 @@ def image_from_message(msg):
     return image_from_raw(msg) if hasattr(msg, 'encoding') else image_from_compressed(msg.data)
 
 
-def image_from_raw(msg):
+def image_from_raw(msg: Any) -> Image:
     """Return the picture in an Image message; rows may be padded."""
     if msg.encoding not in ENCODINGS:
         raise ImageError('unknown encoding',
@@ -75,7 +80,7 @@ def image_from_raw(msg):
     return image if conversion is None else cv2.cvtColor(image, conversion)
 
 
-def image_from_compressed(data):
+def image_from_compressed(data: Any) -> Image:
     """
     Return the picture in JPEG or PNG ``data``.
 
@@ -85,7 +90,7 @@ def image_from_compressed(data):
     return decoded(data, kind_of_whole_file(data))
 
 
-def kind_of_whole_file(data):
+def kind_of_whole_file(data: bytes) -> str:
     """Return JPEG or PNG, whichever ``data`` (bytes) are, or raise ImageError."""
     if data.startswith(b'\xff\xd8'):
         kind = JPEG
@@ -100,7 +105,7 @@ def kind_of_whole_file(data):
     return kind
 
 
-def decoded(data, kind, flags=cv2.IMREAD_ANYCOLOR):
+def decoded(data: bytes, kind: str, flags: int = cv2.IMREAD_ANYCOLOR) -> Image:
     """Return the picture in a file (bytes) by flags of cv2.imdecode; ImageError names its kind."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
@@ -108,12 +113,12 @@ def decoded(data, kind, flags=cv2.IMREAD_ANYCOLOR):
     return image
 
 
-def encoding_of(image):
+def encoding_of(image: Image) -> str:
     """Return the Image encoding of a BGR or grey array."""
     return 'mono8' if image.ndim == 2 else 'bgr8'
 
 
-def fill_image(msg, image):
+def fill_image(msg: Any, image: Image) -> Any:
     """Fill a fresh rclpy Image message with ``image``, BGR or grey, and return it."""
     msg.height, msg.width = image.shape[:2]
     msg.encoding = encoding_of(image)
@@ -123,14 +128,14 @@ def fill_image(msg, image):
     return msg
 
 
-def fill_compressed(msg, image, quality=JPEG_QUALITY):
+def fill_compressed(msg: Any, image: Image, quality: int = JPEG_QUALITY) -> Any:
     """Fill a fresh rclpy CompressedImage message with ``image`` as JPEG and return it."""
     msg.format = jpeg_format(image)
     msg.data.frombytes(encode_jpeg(image, quality).data)
     return msg
 
 
-def encode_jpeg(image, quality=JPEG_QUALITY):
+def encode_jpeg(image: Image, quality: int = JPEG_QUALITY) -> NDArray[np.uint8]:
     """Return the JPEG file (N,) uint8 of ``image``, BGR or grey."""
     ok, data = cv2.imencode('.jpg', image, (cv2.IMWRITE_JPEG_QUALITY, quality))
     if not ok:
@@ -138,7 +143,7 @@ def encode_jpeg(image, quality=JPEG_QUALITY):
     return data.reshape(-1)
 
 
-def jpeg_format(image):
+def jpeg_format(image: Image) -> str:
     """Return the ``format`` of a JPEG CompressedImage as image_transport writes it."""
     encoding = encoding_of(image)
     return f'{encoding}; jpeg compressed {encoding if encoding == "bgr8" else ""}'

@@ -10,7 +10,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
+from sph_stab_ros.geometry.arrays import Image
 
 
 @dataclass(frozen=True)
@@ -23,18 +23,19 @@ class Frame:
     ``stamp_ns`` is the header's or the container's time; ``frame_id`` names the camera's frame.
     """
 
-    image: np.ndarray
+    image: Image
     stamp_ns: int
     frame_id: str = ''
 
     @property
-    def size_wh(self):
+    def size_wh(self) -> tuple[int, int]:
         """Width and height of the image in pixels."""
-        return self.image.shape[1::-1]
+        height, width = self.image.shape[:2]
+        return width, height
 
-    def load(self):
+    def load(self) -> None:
         """Decode what is decoded only when it is asked for."""
 
-    def at_least(self, width):
+    def at_least(self, width: int) -> Image:
         """Return the image, or a smaller one of it, grey perhaps, that is as wide as this."""
         return self.image

@@ -7,15 +7,18 @@
 # language governing permissions and limitations under the License.
 
 """
-A mark in the picture where the robot's front is: a picture without rotation does not show it.
+Draw where the robot's front is, which a picture that does not turn with the robot cannot show.
 
-The mark is that of an aircraft's flight path: a ring with wings, which lie along the camera's
-horizon. Where the front is outside of the picture, an arrow at the border points to it.
+The marker looks like that of an aircraft's flight path: a ring with wings, which lie along the
+camera's horizon. Where the front is outside of the picture, an arrow at the border points to it.
 """
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bearings, Floats, Image, Pixels
 from sph_stab_ros.geometry.equirect import pixels_from_bearings
 from sph_stab_ros.geometry.warp import focal_length_px, view_rotation
 
@@ -29,7 +32,8 @@ SHIFT = 4
 SIDE_RAD = np.deg2rad(1)
 
 
-def mark_view(image, R_view_camera, front_yaw_rad, hfov_rad):
+def mark_view(image: Image, R_view_camera: Rotation, front_yaw_rad: float,
+              hfov_rad: float) -> None:
     """Draw the robot's front, ``front_yaw_rad`` left of the camera's, into a pinhole view."""
     height, width = image.shape[:2]
     front, side = R_view_camera.apply(_front_and_side(front_yaw_rad))
@@ -46,7 +50,7 @@ def mark_view(image, R_view_camera, front_yaw_rad, hfov_rad):
     _draw_arrow(image, centre, towards if np.linalg.norm(towards) > 1e-6 else np.array((1., 0.)))
 
 
-def mark_sphere(image, R_virtual_camera, front_yaw_rad):
+def mark_sphere(image: Image, R_virtual_camera: Rotation, front_yaw_rad: float) -> None:
     """Draw the robot's front, ``front_yaw_rad`` left of the camera's, into a stabilised sphere."""
     width = image.shape[1]
     tip, wing = pixels_from_bearings(
@@ -58,13 +62,13 @@ def mark_sphere(image, R_virtual_camera, front_yaw_rad):
         _draw_front(image, tip + (turn_px, 0), along)
 
 
-def _front_and_side(front_yaw_rad):
+def _front_and_side(front_yaw_rad: float) -> Bearings:
     """Return the bearings (2, 3) of the front and a little to its right in the camera's frame."""
     return view_rotation(front_yaw_rad).apply(
         ((0, 0, 1), (np.sin(SIDE_RAD), 0, np.cos(SIDE_RAD))))
 
 
-def _draw_front(image, tip, along):
+def _draw_front(image: Image, tip: Pixels, along: Floats) -> None:
     """Draw ring, wings and fin at a pixel; the right wing points along a vector."""
     radius = max(RADIUS * min(image.shape[:2]), 4)
     x = along / np.linalg.norm(along)
@@ -79,7 +83,7 @@ def _draw_front(image, tip, along):
                       _in_grey(image, colour), width_px, cv2.LINE_AA, SHIFT)
 
 
-def _draw_arrow(image, centre, towards):
+def _draw_arrow(image: Image, centre: Pixels, towards: Floats) -> None:
     """Draw an arrow head just within the border that lies along a vector from the centre."""
     size = max(ARROW * min(image.shape[:2]), 7)
     forward = towards / np.linalg.norm(towards)
@@ -93,11 +97,11 @@ def _draw_arrow(image, centre, towards):
     cv2.fillPoly(image, [outline], _in_grey(image, COLOUR_BGR), cv2.LINE_AA, SHIFT)
 
 
-def _fixed_point(points):
+def _fixed_point(points: Pixels) -> NDArray[np.int32]:
     """Return points (N, 2) as OpenCV takes them with fractions of a pixel."""
-    return np.int32(np.rint(points * (1 << SHIFT)))
+    return np.rint(points * (1 << SHIFT)).astype(np.int32)
 
 
-def _in_grey(image, colour_bgr):
+def _in_grey(image: Image, colour_bgr: tuple[int, int, int]) -> tuple[int, int, int] | int:
     """Return a colour, or its brightness where the image is grey."""
     return colour_bgr if image.ndim == 3 else int(np.dot((0.114, 0.587, 0.299), colour_bgr))

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A Frame in a JPEG file, of which only as much is decoded as somebody asks for."""
+"""A Frame that is a JPEG file: only as much of it is decoded as somebody asks for."""
 
 from struct import error, unpack_from
 

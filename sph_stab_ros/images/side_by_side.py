@@ -6,19 +6,34 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Raw and stabilised, sphere and views, in one picture to look at."""
+"""The recorded and the stabilised sphere and views, side by side in one picture."""
+
+from typing import Protocol
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bgr, Image
 from sph_stab_ros.geometry.warp import view_rotation
 
 MAX_ROW_HEIGHT_PX = 480
 BACK = view_rotation(yaw_rad=np.pi)
 
 
-def side_by_side(stabilized, R_virtual_view, hfov_rad):
+class Stabilized(Protocol):
+    """What is asked of a StabilizedFrame."""
+
+    @property
+    def R_camera_virtual(self) -> Rotation:
+        """Return what turns the virtual camera's bearings into the camera's."""
+
+    def seen_along(self, R_camera_target: Rotation, hfov_rad: float | None = None,
+                   size_wh: tuple[int, int] | None = None) -> Image:
+        """Return what a camera turned against this one sees: the sphere, or a perspective view."""
+
+
+def side_by_side(stabilized: Stabilized, R_virtual_view: Rotation, hfov_rad: float) -> Bgr:
     """
     Return a picture (2 h, 4 h, 3) BGR of a StabilizedFrame: above as recorded, below stabilised.
 
@@ -41,12 +56,12 @@ def side_by_side(stabilized, R_virtual_view, hfov_rad):
     return np.vstack(rows)
 
 
-def as_bgr(image):
+def as_bgr(image: Image) -> Bgr:
     """Return a BGR or grey image as BGR."""
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
 
 
-def labelled(picture, text):
+def labelled(picture: Bgr, text: str) -> Bgr:
     """Write ``text`` into the upper left corner of a picture, and return it."""
     scale = picture.shape[0] / 640
     origin = (round(14 * scale), round(34 * scale))

@@ -11,21 +11,23 @@
 import cv2
 import numpy as np
 
+from sph_stab_ros.geometry.arrays import Grey
+
 # Flow interpolates where nothing is to be seen; a picture without contrast has no flow at all.
 TEXTURE_WIDTH = 160
 MIN_CONTRAST = 2.0
 MIN_TEXTURED_FRACTION = 0.02
 
 
-def at_most(grey, width):
-    """Return a grey sphere (H, W), reduced where it is wider than this."""
+def at_most(grey: Grey, width: int) -> Grey:
+    """Return a grey sphere, reduced where it is wider than this."""
     if grey.shape[1] <= width:
         return grey
     return cv2.resize(grey, (width, width // 2), interpolation=cv2.INTER_AREA)
 
 
-def has_texture(grey):
-    """Tell whether a grey sphere (H, W) shows enough to measure any motion by."""
+def has_texture(grey: Grey) -> bool:
+    """Tell whether a grey sphere shows enough to measure any motion by."""
     grey = at_most(grey, TEXTURE_WIDTH)
     fine, coarse = (cv2.GaussianBlur(grey, (0, 0), sigma_px) for sigma_px in (0.7, 2.7))
-    return np.mean(cv2.absdiff(fine, coarse) > MIN_CONTRAST) > MIN_TEXTURED_FRACTION
+    return bool(np.mean(cv2.absdiff(fine, coarse) > MIN_CONTRAST) > MIN_TEXTURED_FRACTION)

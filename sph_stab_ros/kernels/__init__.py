@@ -16,8 +16,10 @@ other thread waits for them, and they need neither Python's headers nor another 
 import ctypes
 from importlib.util import find_spec
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 
 class _Array:
@@ -25,11 +27,11 @@ class _Array:
 
     _ANYTHING = ctypes.c_char * 0
 
-    def __init__(self, dtype, written=False):
+    def __init__(self, dtype: DTypeLike, written: bool = False) -> None:
         self._dtype, self._written = dtype, written
 
-    def __call__(self, array):
-        dense = np.ascontiguousarray(array, self._dtype)
+    def __call__(self, array: NDArray[Any]) -> Any:
+        dense: Any = np.ascontiguousarray(array, self._dtype)
         if self._written and dense is not array:
             raise TypeError('only dense arrays of the right type can be written to')
         if not dense.flags.writeable:
@@ -40,7 +42,7 @@ class _Array:
 
 
 # What a letter stands for. Capitals are written to.
-_TYPES = {
+_TYPES: dict[str, Any] = {
     'b': _Array(np.uint8), 'd': _Array(np.float64), 'f': _Array(np.float32),
     'l': _Array(np.int64), 'D': _Array(np.float64, True), 'F': _Array(np.float32, True),
     'i': ctypes.c_int, 'x': ctypes.c_float,
@@ -64,16 +66,16 @@ class _Function:
     ctypes would convert arguments too, but make another exception of a Ctrl-C meanwhile.
     """
 
-    def __init__(self, function, letters):
+    def __init__(self, function: Any, letters: str) -> None:
         function.restype = None
         self._function, self._types = function, [_TYPES[letter] for letter in letters]
 
-    def __call__(self, *arguments):
+    def __call__(self, *arguments: Any) -> None:
         self._function(*[as_type(one) for as_type, one
                          in zip(self._types, arguments, strict=True)])
 
 
-def _load():
+def _load() -> Any:
     """Return the library's functions, None where it was not built."""
     spec = find_spec('sph_stab_ros.kernels._kernels')
     if spec is None:

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Pictures and their orientations, which come later and on another topic, by their stamps."""
+"""Pair pictures by stamp with their orientations, which come later and on another topic."""
 
 from collections import deque
 from dataclasses import dataclass, replace

@@ -17,21 +17,21 @@ __all__ = ['open_recording', 'Recording', 'RecordingError']
 BAG_SUFFIXES = ('.bag', '.mcap', '.db3')
 
 
-def is_bag(path):
+def is_bag(path: str | Path) -> bool:
     """Tell whether ``path`` names a bag: a folder or no suffix, ``.bag``, ``.mcap``, ``.db3``."""
     path = Path(path)
     return path.is_dir() or path.suffix in ('', *BAG_SUFFIXES)
 
 
-def open_recording(path, image_topic=None):
+def open_recording(path: str | Path, image_topic: str | None = None) -> Recording:
     """
     Return the Recording at ``path``.
 
     Parameters
     ----------
-    path : Path or str
+    path
         A rosbag2 folder, ``.mcap`` or ``.db3`` file, a ROS 1 ``.bag``, or else a video file.
-    image_topic : str, optional
+    image_topic
         Where to find the images in a bag that has several image topics.
 
     """

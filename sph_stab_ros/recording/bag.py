@@ -9,7 +9,10 @@
 """Images and other messages out of rosbag2 and ROS 1 bags."""
 
 from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Sequence
 import logging
+from pathlib import Path
+from typing import Any
 
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import get_typestore, Stores
@@ -33,7 +36,7 @@ class BagRecording:
     that was cut short is read as far as it goes.
     """
 
-    def __init__(self, path, image_topic=None):
+    def __init__(self, path: Path, image_topic: str | None = None) -> None:
         self.path = path
         self.name = path.name
         library, store, decode = ((rosbag1, Stores.ROS1_NOETIC, 'deserialize_ros1')
@@ -41,30 +44,32 @@ class BagRecording:
                                   (rosbag2, Stores.ROS2_JAZZY, 'deserialize_cdr'))
         self._types = get_typestore(store)
         self._decode = getattr(self._types, decode)
-        self._open = lambda: library.Reader(path)
+        # A reader of rosbags, or what stands in for one.
+        self._open: Callable[[], Any] = lambda: library.Reader(path)
         try:
             connections = self._connections()
         # The readers promise no particular exception for damaged files.
         except Exception as error:
             connections = self._salvaged_connections(error)
-        self.topics = {c.topic: c.msgtype for c in connections}
-        counts = Counter()
+        self.topics: dict[str, str] = {c.topic: c.msgtype for c in connections}
+        counts: Counter[str] = Counter()
         for connection in connections:
             counts[connection.topic] += connection.msgcount
-        self.image_topic = self._choose_image_topic(image_topic, counts)
-        self.frame_count = counts[self.image_topic]
+        self._images = self._choose_image_topic(image_topic, counts)
+        self.image_topic: str | None = self._images
+        self.frame_count: int | None = counts[self._images]
         self._skip_log = SkipLog(self.name)
 
     @property
-    def skipped(self):
+    def skipped(self) -> Counter[str]:
         """Count the pictures left out so far, by reason."""
         return self._skip_log.counts
 
-    def frames(self):
+    def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames of the image topic; header stamps, or times of receipt where zero."""
         self._skip_log = SkipLog(self.name)
         said_zero = False
-        for received_ns, msg in self.messages(self.image_topic):
+        for received_ns, msg in self.messages(self._images):
             stamp_ns = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec
             if stamp_ns == 0:
                 stamp_ns = received_ns
@@ -79,7 +84,7 @@ class BagRecording:
                 continue
             yield Frame(image, stamp_ns, msg.header.frame_id)
 
-    def messages(self, topic):
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time of receipt in ns, message) of a topic; messages of rosbags' types."""
         if topic not in self.topics:
             raise RecordingError(f'{self.path} has no topic {topic}; it has {self._listed()}')
@@ -98,7 +103,8 @@ class BagRecording:
                     continue
                 yield received_ns, msg
 
-    def _whole_part(self, reader, connections):
+    def _whole_part(
+            self, reader: Any, connections: Sequence[Any]) -> Iterator[tuple[int, bytes]]:
         """Yield (time of receipt, data) as far as the file is whole, then warn if it was not."""
         count = 0
         try:
@@ -113,11 +119,11 @@ class BagRecording:
             logger.warning('%s is truncated or damaged: %d messages of %s were read',
                            self.name, count, connections[0].topic)
 
-    def _connections(self):
+    def _connections(self) -> Sequence[Any]:
         with self._open() as reader:
             return list(reader.connections)
 
-    def _salvaged_connections(self, error):
+    def _salvaged_connections(self, error: Exception) -> Sequence[Any]:
         """Read without an index from now on, as opening the bag ended in ``error``."""
         try:
             salvaged = SalvagedBag(self.path)
@@ -129,7 +135,7 @@ class BagRecording:
         self._open = lambda: salvaged
         return salvaged.connections
 
-    def _choose_image_topic(self, wanted, counts):
+    def _choose_image_topic(self, wanted: str | None, counts: Counter[str]) -> str:
         """Return the topic to read images from, RecordingError if that is not clear."""
         candidates = [topic for topic, msgtype in self.topics.items() if msgtype in IMAGE_TYPES]
         if wanted is not None:
@@ -145,7 +151,7 @@ class BagRecording:
                                  f'--image-topic: {", ".join(sorted(candidates))}')
         return candidates[0]
 
-    def _listed(self):
+    def _listed(self) -> str:
         """Return the topics and their types in a line."""
         return ', '.join(f'{topic} ({msgtype})' for topic, msgtype in sorted(self.topics.items())
                          ) or 'no topics'

@@ -9,8 +9,9 @@
 """What all recordings have in common."""
 
 from collections import Counter
+from collections.abc import Generator, Iterator
 import logging
-from typing import Any, Iterator, Protocol
+from typing import Any, Protocol
 
 from sph_stab_ros.images.frame import Frame
 
@@ -27,17 +28,19 @@ class Recording(Protocol):
 
     ``name`` tells it from others; ``topics`` maps topics to message types (none in a video) and
     ``image_topic`` is where the images come from (None in a video);
-    ``frame_count`` is what the file claims, to be taken as an estimate, or None; ``skipped``
-    counts the pictures left out by ``frames()``, by reason.
+    ``frame_count`` is what the file claims, to be taken as an estimate, or None.
     """
 
     name: str
     topics: dict[str, str]
     image_topic: str | None
     frame_count: int | None
-    skipped: Counter
 
-    def frames(self) -> Iterator[Frame]:
+    @property
+    def skipped(self) -> Counter[str]:
+        """Count the pictures left out by ``frames()`` so far, by reason."""
+
+    def frames(self) -> Generator[Frame, None, None]:
         """Yield the whole pictures in the recording's order, whatever their stamps."""
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
@@ -47,11 +50,11 @@ class Recording(Protocol):
 class SkipLog:
     """Count what is left out, by reason, and name the first of each reason in the log."""
 
-    def __init__(self, name):
+    def __init__(self, name: str) -> None:
         self.name = name
-        self.counts = Counter()
+        self.counts: Counter[str] = Counter()
 
-    def add(self, reason, detail):
+    def add(self, reason: str, detail: object) -> None:
         """Count one; ``detail`` is logged if it is the first for this reason."""
         self.counts[reason] += 1
         if self.counts[reason] == 1:

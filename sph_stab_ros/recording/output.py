@@ -13,6 +13,7 @@ Each is written in a folder beside its destination, named after it with ``.parti
 moved out of it when it is whole.
 """
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 import logging
 from pathlib import Path
@@ -24,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 
 @contextmanager
-def partial_output(path, force=False):
+def partial_output(path: str | Path, force: bool = False) -> Iterator[Path]:
     """
     Give a path to write a file or folder to, which becomes ``path`` when the block ends well.
 

@@ -16,11 +16,13 @@ of rosbag2, whose messages lie in the order of recording.
 
 from bz2 import BZ2Decompressor
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
+from pathlib import Path
 import sqlite3
 import struct
 import sys
-from typing import NamedTuple
+from typing import Any, BinaryIO, NamedTuple, TypeAlias
 
 from lz4.frame import LZ4FrameDecompressor
 
@@ -30,7 +32,8 @@ else:
     from backports.zstd import ZstdDecompressor
 
 # Decompressors that give what they can of a stream cut short.
-DECOMPRESSORS = {'zstd': ZstdDecompressor, 'lz4': LZ4FrameDecompressor, 'bz2': BZ2Decompressor}
+DECOMPRESSORS: dict[str, Callable[[], Any]] = {
+    'zstd': ZstdDecompressor, 'lz4': LZ4FrameDecompressor, 'bz2': BZ2Decompressor}
 
 
 class Truncated(Exception):
@@ -49,6 +52,10 @@ class Connection(NamedTuple):
     msgcount: int
 
 
+# Topic, type, time of receipt in ns, data.
+Message: TypeAlias = tuple[str, str, int, bytes]
+
+
 class SalvagedBag:
     """
     A stand-in for the readers of rosbags that needs no index, only more time.
@@ -56,27 +63,28 @@ class SalvagedBag:
     ``truncated`` tells, after the messages were read, whether a file ended too early.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: Path) -> None:
         self.truncated = False
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         self._parts = [file for file in files if file.suffix in SCANNERS]
         counts = Counter((topic, msgtype) for topic, msgtype, _, _ in self._scan())
         self.connections = [Connection(*key, count) for key, count in counts.items()]
 
-    def __enter__(self):
+    def __enter__(self) -> 'SalvagedBag':
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         pass
 
-    def messages(self, connections):
+    def messages(
+            self, connections: Sequence[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
         """Yield (connection, time of receipt in ns, data) of the given connections."""
         wanted = {connection.topic: connection for connection in connections}
         for topic, _, received_ns, data in self._scan():
             if topic in wanted:
                 yield wanted[topic], received_ns, data
 
-    def _scan(self):
+    def _scan(self) -> Iterator[Message]:
         for part in self._parts:
             try:
                 yield from SCANNERS[part.suffix](part)
@@ -84,9 +92,10 @@ class SalvagedBag:
                 self.truncated = True
 
 
-def scan_mcap(path):
-    """Yield (topic, type, time of receipt in ns, data) of an MCAP file."""
-    types, channels = {}, {}
+def scan_mcap(path: Path) -> Iterator[Message]:
+    """Yield the messages of an MCAP file."""
+    types: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     with path.open('rb') as file:
         if file.read(8) != b'\x89MCAP0\r\n':
             raise Truncated
@@ -102,7 +111,7 @@ def scan_mcap(path):
 MCAP_SCHEMA, MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK, MCAP_DATA_END = 3, 4, 5, 6, 15
 
 
-def mcap_records(stream):
+def mcap_records(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """Yield (opcode, content) of the records up to the end of the data, chunks opened."""
     while True:
         opcode, size = struct.unpack('<BQ', read_whole(stream, 9))
@@ -124,15 +133,15 @@ def mcap_records(stream):
             raise Truncated
 
 
-def mcap_string(record, start):
+def mcap_string(record: bytes, start: int) -> tuple[str, int]:
     """Return the string at ``start`` and the position behind it."""
     end = start + 4 + uint32(record, start)
     return record[start + 4:end].decode(), end
 
 
-def scan_rosbag1(path):
-    """Yield (topic, type, time of receipt in ns, data) of a ROS 1 bag."""
-    connections = {}
+def scan_rosbag1(path: Path) -> Iterator[Message]:
+    """Yield the messages of a ROS 1 bag."""
+    connections: dict[bytes, tuple[str, str]] = {}
     with path.open('rb') as file:
         if file.readline(16) != b'#ROSBAG V2.0\n':
             raise Truncated
@@ -155,7 +164,7 @@ ROSBAG1_MESSAGE, ROSBAG1_HEADER = b'\x02', b'\x03'
 ROSBAG1_CHUNK, ROSBAG1_CONNECTION = b'\x05', b'\x07'
 
 
-def rosbag1_records(stream):
+def rosbag1_records(stream: BinaryIO) -> Iterator[tuple[dict[str, bytes], bytes]]:
     """Yield (header fields, data) of all records, chunks opened, to the end of the stream."""
     while True:
         start = stream.read(4)
@@ -174,9 +183,10 @@ def rosbag1_records(stream):
             raise Truncated
 
 
-def rosbag1_fields(content):
+def rosbag1_fields(content: bytes) -> dict[str, bytes]:
     """Return the ``name=value`` fields of a header."""
-    fields, position = {}, 0
+    fields: dict[str, bytes] = {}
+    position = 0
     while position < len(content):
         end = position + 4 + uint32(content, position)
         name, _, value = content[position + 4:end].partition(b'=')
@@ -185,8 +195,8 @@ def rosbag1_fields(content):
     return fields
 
 
-def scan_sqlite(path):
-    """Yield (topic, type, time of receipt in ns, data) of a rosbag2 SQLite file."""
+def scan_sqlite(path: Path) -> Iterator[Message]:
+    """Yield the messages of a rosbag2 SQLite file."""
     database = sqlite3.connect(f'{path.absolute().as_uri()}?immutable=1', uri=True)
     try:
         # Without it SQLite refuses a file shorter than its header says.
@@ -203,7 +213,7 @@ def scan_sqlite(path):
 SCANNERS = {'.mcap': scan_mcap, '.bag': scan_rosbag1, '.db3': scan_sqlite}
 
 
-def decompressed(data, compression):
+def decompressed(data: bytes, compression: str) -> bytes:
     """Return the content of a chunk, as far as it goes."""
     if compression in ('', 'none'):
         return data
@@ -213,7 +223,7 @@ def decompressed(data, compression):
         raise Truncated from error
 
 
-def read_available(stream, size):
+def read_available(stream: BinaryIO, size: int) -> bytes:
     """Return up to ``size`` bytes; a damaged size must not ask for more memory than there is."""
     position = stream.tell()
     left = stream.seek(0, 2) - position
@@ -221,7 +231,7 @@ def read_available(stream, size):
     return stream.read(min(size, left))
 
 
-def read_whole(stream, size):
+def read_whole(stream: BinaryIO, size: int) -> bytes:
     """Return ``size`` bytes or raise Truncated."""
     data = read_available(stream, size)
     if len(data) < size:
@@ -229,16 +239,16 @@ def read_whole(stream, size):
     return data
 
 
-def uint16(data, position=0):
+def uint16(data: bytes, position: int = 0) -> int:
     """Return the little-endian number at ``position``."""
     return struct.unpack_from('<H', data, position)[0]
 
 
-def uint32(data, position=0):
+def uint32(data: bytes, position: int = 0) -> int:
     """Return the little-endian number at ``position``."""
     return struct.unpack_from('<I', data, position)[0]
 
 
-def uint64(data, position=0):
+def uint64(data: bytes, position: int = 0) -> int:
     """Return the little-endian number at ``position``."""
     return struct.unpack_from('<Q', data, position)[0]

@@ -15,7 +15,10 @@ theta-metadata). Other programs drop it when they convert a video, and bags have
 where it is absent, nothing is known.
 """
 
+from collections.abc import Iterable
+from pathlib import Path
 import struct
+from typing import BinaryIO
 
 EXIF_IFD, MAKER_NOTE, THETA_IFD, ZENITH_CORRECTION = 0x8769, 0x927C, 0x4001, 0x0007
 MAKER_NOTE_HEADER = b'Ricoh\0\0\0'
@@ -23,7 +26,7 @@ MAKER_NOTE_HEADER = b'Ricoh\0\0\0'
 MAX_EXIF_BYTES = 2**20
 
 
-def tilt_removed_in_camera(path):
+def tilt_removed_in_camera(path: Path) -> bool:
     """Tell whether an MP4 file says that its pictures are levelled already."""
     try:
         with path.open('rb') as file:
@@ -33,18 +36,19 @@ def tilt_removed_in_camera(path):
         return False
 
 
-def mp4_box(file, names):
+def mp4_box(file: BinaryIO, names: Iterable[bytes]) -> bytes | None:
     """Return the content of the box found along ``names``, outermost first, or None."""
     end = file.seek(0, 2)
     file.seek(0)
     for name in names:
-        end = find_box(file, name, end)
-        if end is None:
+        box_end = find_box(file, name, end)
+        if box_end is None:
             return None
+        end = box_end
     return file.read(min(end - file.tell(), MAX_EXIF_BYTES))
 
 
-def find_box(file, wanted, end):
+def find_box(file: BinaryIO, wanted: bytes, end: int) -> int | None:
     """Go to the content of the next box of that name; return where it ends, or None."""
     while file.tell() + 8 <= end:
         start = file.tell()
@@ -60,19 +64,19 @@ def find_box(file, wanted, end):
     return None
 
 
-def zenith_correction_applied(exif):
+def zenith_correction_applied(exif: bytes) -> bool:
     """Tell whether EXIF data, from the TIFF header on, carry Ricoh's flag."""
     order = {b'II': '<', b'MM': '>'}.get(exif[:2])
     if order is None:
         return False
 
-    def tags(position):
+    def tags(position: int) -> dict[int, int]:
         """Return where the values of the tags of the directory at ``position`` are."""
         count, = struct.unpack_from(order + 'H', exif, position)
         entries = range(position + 2, position + 2 + 12 * count, 12)
         return {struct.unpack_from(order + 'H', exif, entry)[0]: entry + 8 for entry in entries}
 
-    def offset_at(position):
+    def offset_at(position: int) -> int:
         return struct.unpack_from(order + 'I', exif, position)[0]
 
     try:

@@ -8,8 +8,12 @@
 
 """Pictures out of video files, through PyAV."""
 
+from collections import Counter
+from collections.abc import Generator, Iterator
 from fractions import Fraction
 import logging
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +23,8 @@ from sph_stab_ros.recording.base import RecordingError, SkipLog
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 
 try:
-    import av
+    # The writer takes it from here.
+    import av as av
 except ImportError:
     raise RecordingError("video files need PyAV: pip install 'sph_stab_ros[video]'") from None
 
@@ -37,17 +42,16 @@ class VideoRecording:
     say, and with the container's times, which need not be regular.
     """
 
-    topics = {}
-    image_topic = None
-
-    def __init__(self, path):
+    def __init__(self, path: Path) -> None:
+        self.topics: dict[str, str] = {}
+        self.image_topic: str | None = None
         self.path = path
         self.name = path.name
         self._skip_log = SkipLog(self.name)
         with self._open() as container:
             stream = container.streams.video[0]
             self.duration_s = _duration_s(container, stream)
-            self.frame_count = stream.frames or None
+            self.frame_count: int | None = stream.frames or None
             if self.duration_s and stream.average_rate:
                 # Some containers count fields, or frames that an edit list hides.
                 self.frame_count = round(self.duration_s * stream.average_rate)
@@ -58,15 +62,15 @@ class VideoRecording:
                 "the camera's", self.name)
 
     @property
-    def skipped(self):
+    def skipped(self) -> Counter[str]:
         """Count the pictures left out so far, by reason."""
         return self._skip_log.counts
 
-    def messages(self, topic):
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Raise RecordingError: a video has no topics."""
         raise RecordingError(f'{self.path} is not a bag and has no topic {topic}')
 
-    def frames(self):
+    def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames as they are decoded."""
         self._skip_log = SkipLog(self.name)
         count, end_s, cut = 0, 0., False
@@ -79,7 +83,7 @@ class VideoRecording:
                         cut = True
                         continue
                     for picture in self._decoded(packet):
-                        end_s = float(picture.pts * picture.time_base)
+                        end_s = float(_time_s(picture))
                         yield _frame(picture, stream.sample_aspect_ratio)
                         count += 1
             except av.FFmpegError as error:
@@ -90,7 +94,7 @@ class VideoRecording:
                            self.name, count, end_s,
                            f' of {self.duration_s:.3f} s' if self.duration_s else '')
 
-    def _decoded(self, packet):
+    def _decoded(self, packet: 'av.Packet[av.VideoStream]') -> list['av.VideoFrame']:
         """Return the whole pictures that a packet completes."""
         try:
             pictures = packet.decode()
@@ -102,7 +106,7 @@ class VideoRecording:
             self._skip_log.add('undecodable', f'undecodable picture at {picture.time} s')
         return [p for p in pictures if p not in broken]
 
-    def _open(self):
+    def _open(self) -> 'av.container.InputContainer':
         try:
             container = av.open(str(self.path), metadata_errors='replace')
         except OSError as error:
@@ -116,17 +120,23 @@ class VideoRecording:
         return container
 
 
-def _frame(picture, pixel_aspect):
+def _frame(picture: 'av.VideoFrame', pixel_aspect: Fraction | None) -> Frame:
     """Return the Frame of a decoded picture."""
     width, height = square_pixel_size(picture.width, picture.height, pixel_aspect)
-    image = picture.to_ndarray(format='bgr24', width=width, height=height)
+    image: Any = picture.to_ndarray(format='bgr24', width=width, height=height)
     if picture.rotation:
         image = np.ascontiguousarray(np.rot90(image, round(picture.rotation / 90)))
-    stamp_ns = round(Fraction(picture.pts) * picture.time_base * NS_PER_S)
-    return Frame(image, stamp_ns)
+    return Frame(image, round(_time_s(picture) * NS_PER_S))
 
 
-def square_pixel_size(width, height, pixel_aspect):
+def _time_s(picture: 'av.VideoFrame') -> Fraction:
+    """Return the container's time of a whole picture, exactly."""
+    assert picture.pts is not None and picture.time_base is not None
+    return picture.pts * picture.time_base
+
+
+def square_pixel_size(width: int, height: int, pixel_aspect: Fraction | float | None
+                      ) -> tuple[int, int]:
     """
     Return the largest (width, height) with square pixels that invents none.
 
@@ -139,8 +149,9 @@ def square_pixel_size(width, height, pixel_aspect):
     return round(width * pixel_aspect), height
 
 
-def _duration_s(container, stream):
+def _duration_s(container: 'av.container.InputContainer',
+                stream: 'av.VideoStream') -> float | None:
     """Return how long the container says the pictures last, or None."""
-    if stream.duration:
+    if stream.duration and stream.time_base:
         return float(stream.duration * stream.time_base)
     return container.duration / av.time_base if container.duration else None

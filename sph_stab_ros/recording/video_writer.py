@@ -10,9 +10,12 @@
 
 from fractions import Fraction
 import logging
+from pathlib import Path
+from typing import Any
 
 import cv2
 
+from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.video import av
@@ -34,15 +37,17 @@ class VideoWriter:
     first one's size; an odd row or column is doubled, as H.264 needs even sizes.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: Path) -> None:
         self.path = path
 
-    def __enter__(self):
+    def __enter__(self) -> 'VideoWriter':
         self._container = av.open(str(self.path), 'w')
-        self._stream = None
+        # Begun with the first picture, whose size it has.
+        self._stream: Any = None
+        self._last_pts = -1
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         # Also after an error, so that what there is can be read.
         try:
             if self._stream is not None:
@@ -50,9 +55,9 @@ class VideoWriter:
         finally:
             self._container.close()
 
-    def write(self, image, stamp_ns):
+    def write(self, image: Image, stamp_ns: int) -> None:
         """
-        Write an image (H, W, 3) BGR or (H, W) grey.
+        Write an image, BGR or grey.
 
         A picture that is not later than the one before is put right behind it.
         """
@@ -63,13 +68,13 @@ class VideoWriter:
         elif image.shape[:2] != (self._stream.height, self._stream.width):
             image = cv2.resize(image, (self._stream.width, self._stream.height))
         picture = av.VideoFrame.from_ndarray(image, format='gray' if image.ndim == 2 else 'bgr24')
-        picture.pts = max(self._last_pts + 1,
-                          round(Fraction(stamp_ns - self._first_ns, NS_PER_S) / TIME_BASE))
+        picture.pts = self._last_pts = max(
+            self._last_pts + 1,
+            round(Fraction(stamp_ns - self._first_ns, NS_PER_S) / TIME_BASE))
         picture.time_base = TIME_BASE
-        self._last_pts = picture.pts
         self._container.mux(self._stream.encode(picture))
 
-    def _start(self, image, stamp_ns):
+    def _start(self, image: Image, stamp_ns: int) -> None:
         try:
             self._stream = self._container.add_stream(
                 'libx264', rate=NOMINAL_RATE, options=ENCODER_OPTIONS)
@@ -79,4 +84,3 @@ class VideoWriter:
         self._stream.pix_fmt = 'yuv420p'
         self._stream.time_base = self._stream.codec_context.time_base = TIME_BASE
         self._first_ns = stamp_ns
-        self._last_pts = -1

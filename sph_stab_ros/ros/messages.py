@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The core's values to ROS messages and back; images are in ``recording.images``."""
+"""The core's values to ROS messages and back; images are in ``images.codec``."""
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, QuaternionStamped
 import numpy as np

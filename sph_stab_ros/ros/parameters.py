@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node's parameters, made from the options in config.py and turned into configs again."""
+"""The node's parameters, made from the options in ``config`` and turned into configs again."""
 
 from dataclasses import dataclass
 

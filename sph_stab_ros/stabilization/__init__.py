@@ -6,4 +6,9 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The stabiliser: frames in, the camera's orientation and pictures without its turning out."""
+"""
+The algorithm: frames in; the camera's orientation, and pictures without its rotation, out.
+
+``pipeline.Stabilizer`` is the whole of it. The executable ``stabilizer`` is the ROS node around
+that class, ``replay`` runs it over a recording.
+"""

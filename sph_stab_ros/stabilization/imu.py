@@ -6,15 +6,17 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What an inertial measurement unit says: samples of it, and the turns that its gyro saw."""
+"""Samples of an inertial measurement unit, and the rotation that its gyro measured."""
 
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Stamps, Vector, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
 
 # Over a longer silence of the gyro nothing is known.
@@ -38,10 +40,10 @@ class ImuSample:
     """
 
     stamp_ns: int
-    specific_force_m_s2: np.ndarray | None = None
-    angular_velocity_rad_s: np.ndarray | None = None
+    specific_force_m_s2: Vector | None = None
+    angular_velocity_rad_s: Vector | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Make arrays of what is given, and check them."""
         for name, title in (('specific_force_m_s2', 'specific force'),
                             ('angular_velocity_rad_s', 'angular velocity')):
@@ -57,7 +59,7 @@ class ImuSample:
             raise ImuError('the specific force is zero')
 
 
-def mount_rotation(roll_rad, pitch_rad, yaw_rad):
+def mount_rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Rotation:
     """
     Return ``R_camera_imu`` from roll, pitch and yaw as a URDF states them.
 
@@ -70,18 +72,18 @@ def mount_rotation(roll_rad, pitch_rad, yaw_rad):
 class ImuHistory:
     """The last two seconds of an IMU, in the camera's axes."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         # (stamp_ns, specific force)
-        self._forces = deque()
+        self._forces: deque[tuple[int, Vector]] = deque()
         # (stamp_ns, angular velocity, R_reckoned_camera: the turns so far)
-        self._turns = deque()
+        self._turns: deque[tuple[int, Vector, Rotation]] = deque()
 
-    def clear(self):
+    def clear(self) -> None:
         """Forget everything: the IMU sits otherwise from now on, or its clock was set back."""
         self._forces.clear()
         self._turns.clear()
 
-    def add(self, sample, R_camera_imu):
+    def add(self, sample: ImuSample, R_camera_imu: Rotation) -> None:
         """Take in an ImuSample; one that comes late is left out."""
         stamp_ns = sample.stamp_ns
         if sample.specific_force_m_s2 is not None and _is_next(self._forces, stamp_ns):
@@ -89,13 +91,13 @@ class ImuHistory:
         if sample.angular_velocity_rad_s is not None and _is_next(self._turns, stamp_ns):
             self._add_turn(stamp_ns, R_camera_imu.apply(sample.angular_velocity_rad_s))
 
-    def forces(self, after_ns, until_ns):
+    def forces(self, after_ns: int, until_ns: int) -> tuple[Stamps, Vectors]:
         """Return stamps (N,) in (after, until] and specific force (N, 3) in m/s² at each."""
         chosen = [one for one in self._forces if after_ns < one[0] <= until_ns]
         return (np.array([stamp_ns for stamp_ns, _ in chosen], np.int64),
                 np.array([force for _, force in chosen]).reshape(-1, 3))
 
-    def gyro_rotation(self, from_ns, to_ns):
+    def gyro_rotation(self, from_ns: int, to_ns: int) -> Rotation | None:
         """Return the camera's turn ``R_from_to``, or None where the gyro does not cover it."""
         if not self._turns or not (
                 self._turns[0][0] <= min(from_ns, to_ns)
@@ -103,7 +105,7 @@ class ImuHistory:
             return None
         return self._reckoned(from_ns).inv() * self._reckoned(to_ns)
 
-    def _add_turn(self, stamp_ns, rate_rad_s):
+    def _add_turn(self, stamp_ns: int, rate_rad_s: Vector) -> None:
         if self._turns and stamp_ns - self._turns[-1][0] > MAX_GAP_NS:
             self._turns.clear()
         R_reckoned_camera = Rotation.identity()
@@ -113,7 +115,7 @@ class ImuHistory:
                                                         stamp_ns - last_ns)
         self._turns.append((stamp_ns, rate_rad_s, R_reckoned_camera))
 
-    def _reckoned(self, stamp_ns):
+    def _reckoned(self, stamp_ns: int) -> Rotation:
         """Return R_reckoned_camera at a time; beyond the last sample its rate goes on."""
         i = bisect_right(self._turns, stamp_ns, key=lambda one: one[0]) - 1
         (before_ns, rate_rad_s, R_reckoned_before) = self._turns[i]
@@ -121,7 +123,7 @@ class ImuHistory:
         return R_reckoned_before * _turn((rate_rad_s + next_rad_s) / 2, stamp_ns - before_ns)
 
 
-def _is_next(samples, stamp_ns):
+def _is_next(samples: deque[Any], stamp_ns: int) -> bool:
     """Make room for a sample, and tell whether it is not late."""
     if samples and stamp_ns < samples[-1][0] - NEW_START_NS:
         samples.clear()
@@ -130,5 +132,5 @@ def _is_next(samples, stamp_ns):
     return not samples or stamp_ns > samples[-1][0]
 
 
-def _turn(rate_rad_s, elapsed_ns):
+def _turn(rate_rad_s: Vector, elapsed_ns: int) -> Rotation:
     return Rotation.from_rotvec(rate_rad_s * (elapsed_ns / NS_PER_S))

@@ -20,7 +20,9 @@ from threading import Lock
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Stamps, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.stabilization.imu import ImuHistory
 
 UP = np.array((0., -1., 0.))
 FORWARD = np.array((0., 0., 1.))
@@ -45,7 +47,7 @@ class LevelError(ValueError):
     """A level cannot be set now, with the reason in one line for the user."""
 
 
-def heading(R_world_camera):
+def heading(R_world_camera: Rotation) -> Rotation | None:
     """
     Return the level orientation that looks the same way, or None where the camera has no heading.
 
@@ -58,7 +60,7 @@ def heading(R_world_camera):
     return Rotation.from_rotvec((0., np.arctan2(x, z), 0.))
 
 
-def level_rotation(up):
+def level_rotation(up: Vector) -> Rotation:
     """
     Return the orientation of a camera, of heading zero, that has ``up`` (3,) upwards.
 
@@ -75,43 +77,46 @@ def level_rotation(up):
 class Gravity:
     """The mean of the specific forces in the origin's frame, over half a minute."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Start anew, because orientations count from elsewhere or the IMU sits otherwise."""
-        self._force_m_s2 = np.zeros(3)
+        self._force_m_s2: Vector = np.zeros(3)
         self._averaged_s = 0.
-        self._last_picture = None
+        self._last_picture: tuple[int, Rotation] | None = None
         # Of the last force.
-        self._last_ns = None
+        self._last_ns: int | None = None
 
     @property
-    def up(self):
+    def up(self) -> Vector | None:
         """Return what points upwards in the origin's frame, of any length; None if not known."""
         return self._force_m_s2 if self._averaged_s >= MIN_START_S else None
 
-    def age_s(self, stamp_ns):
+    def age_s(self, stamp_ns: int) -> float:
         """Return for how long before a picture there has been no force to use."""
         return 0. if self._last_ns is None else (stamp_ns - self._last_ns) / NS_PER_S
 
-    def weigh(self, stamp_ns, R_origin_camera, imu):
-        """Take in what an ImuHistory has felt until the picture of this time and orientation."""
+    def weigh(self, stamp_ns: int, R_origin_camera: Rotation, imu: ImuHistory) -> None:
+        """Take in what an IMU has felt until the picture of this time and orientation."""
         # At first, and where the clock was set back.
-        if self._last_ns is None or self._last_ns > stamp_ns:
-            self._last_ns = stamp_ns - MAX_AGE_NS
-        stamps_ns, forces_m_s2 = imu.forces(
-            max(stamp_ns - MAX_AGE_NS, self._last_ns), stamp_ns)
+        last_ns = self._last_ns
+        if last_ns is None or last_ns > stamp_ns:
+            last_ns = stamp_ns - MAX_AGE_NS
+        stamps_ns, forces_m_s2 = imu.forces(max(stamp_ns - MAX_AGE_NS, last_ns), stamp_ns)
         sizes_m_s2 = np.linalg.norm(forces_m_s2, axis=1)
         usable = (USABLE_M_S2[0] < sizes_m_s2) & (sizes_m_s2 < USABLE_M_S2[1])
         if usable.any():
             stamps_ns = stamps_ns[usable]
             R_origin_then = self._orientations(stamps_ns, stamp_ns, R_origin_camera, imu)
             for then_ns, force in zip(stamps_ns, R_origin_then.apply(forces_m_s2[usable])):
-                self._average(int(then_ns), force)
+                self._average(int(then_ns), force, last_ns)
+                last_ns = int(then_ns)
+        self._last_ns = last_ns
         self._last_picture = stamp_ns, R_origin_camera
 
-    def _orientations(self, stamps_ns, stamp_ns, R_origin_camera, imu):
+    def _orientations(self, stamps_ns: Stamps, stamp_ns: int, R_origin_camera: Rotation,
+                      imu: ImuHistory) -> Rotation:
         """Return those of the camera at times (N,) before this picture, after the last one."""
         if self._last_picture is None or self._last_picture[0] >= stamp_ns:
             turns = [imu.gyro_rotation(stamp_ns, int(then_ns)) for then_ns in stamps_ns]
@@ -122,11 +127,10 @@ class Gravity:
         turn_rad = (R_origin_last.inv() * R_origin_camera).as_rotvec()
         return R_origin_last * Rotation.from_rotvec(shares[:, None] * turn_rad)
 
-    def _average(self, stamp_ns, force_m_s2):
-        stands_for_s = min(stamp_ns - self._last_ns, MAX_PERIOD_NS) / NS_PER_S
+    def _average(self, stamp_ns: int, force_m_s2: Vector, since_ns: int) -> None:
+        stands_for_s = min(stamp_ns - since_ns, MAX_PERIOD_NS) / NS_PER_S
         self._averaged_s = min(self._averaged_s + stands_for_s, AVERAGING_S)
         self._force_m_s2 += stands_for_s / self._averaged_s * (force_m_s2 - self._force_m_s2)
-        self._last_ns = stamp_ns
 
 
 class Leveler:
@@ -138,18 +142,18 @@ class Leveler:
     be called from any thread.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lock = Lock()
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Start anew, with the next orientation as the world's."""
         with self._lock:
             self._R_world_origin = self._R_level_origin = Rotation.identity()
-            self._stamp_ns = None
-            self._R_origin_camera = None
+            self._stamp_ns: int | None = None
+            self._R_origin_camera: Rotation | None = None
 
-    def level_here(self):
+    def level_here(self) -> None:
         """Make the present orientation level, but for its heading; LevelError if it has none."""
         with self._lock:
             if self._R_origin_camera is None:
@@ -160,7 +164,8 @@ class Leveler:
                     'the camera looks straight up or down and has no heading to keep')
             self._R_level_origin = R_world_heading * self._R_origin_camera.inv()
 
-    def update(self, stamp_ns, R_origin_camera, up=None):
+    def update(self, stamp_ns: int, R_origin_camera: Rotation,
+               up: Vector | None = None) -> Rotation:
         """Return ``R_world_origin`` at a picture; ``up`` (3,) in the origin's frame, if known."""
         with self._lock:
             if up is not None:
@@ -169,7 +174,7 @@ class Leveler:
             self._stamp_ns, self._R_origin_camera = stamp_ns, R_origin_camera
             return self._R_world_origin
 
-    def _approached(self, stamp_ns):
+    def _approached(self, stamp_ns: int) -> Rotation:
         """Return R_world_origin on its way to R_level_origin."""
         if self._R_world_origin is self._R_level_origin:
             return self._R_world_origin

@@ -9,23 +9,26 @@
 """The whole algorithm: track the camera's orientation, take it out of the picture."""
 
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import IMU, StabilizerConfig
+from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
+from sph_stab_ros.geometry.arrays import Covariance, Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.stabilization.imu import ImuHistory, mount_rotation
+from sph_stab_ros.stabilization.imu import ImuHistory, ImuSample, mount_rotation
 from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError
 from sph_stab_ros.stabilization.smoothing import Smoother
-from sph_stab_ros.tracking import make_tracker, TrackingStatus, working_width
+from sph_stab_ros.tracking import (
+    make_tracker, MakeTracker, TrackedOrientation, Tracker, TrackingStatus, working_width)
 
 # Without a frame for so long, motion in between is guesswork.
 LONG_GAP_S = 1.0
@@ -55,53 +58,68 @@ class StabilizedFrame:
     status: TrackingStatus
     events: tuple[StabilizationEvent, ...] = ()
     # As TrackedOrientation's.
-    covariance: np.ndarray | None = None
+    covariance: Covariance | None = None
     R_world_virtual: Rotation = field(default_factory=Rotation.identity)
     # Of the frame's image; None where it is equirectangular.
     projection: Projection | None = None
 
     @property
-    def stamp_ns(self):
+    def stamp_ns(self) -> int:
         """Stamp of the input frame in nanoseconds."""
         return self.frame.stamp_ns
 
     @property
-    def uncertainty_rad(self):
+    def uncertainty_rad(self) -> float | None:
         """One standard deviation about the least certain axis; None where it is not known."""
         if self.covariance is None:
             return None
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[-1], 0)))
 
     @property
-    def R_camera_virtual(self):
+    def R_camera_virtual(self) -> Rotation:
         """Return what turns the virtual camera's bearings into the camera's."""
         return self.R_world_camera.inv() * self.R_world_virtual
 
-    def sphere(self):
+    def sphere(self) -> Image:
         """Return the virtual camera's equirectangular image, as fine as the input."""
         return self.seen_along(self.R_camera_virtual)
 
-    def view(self, R_virtual_view, hfov_rad, size_wh):
-        """Return a perspective image (h, w[, C]) along a direction of the virtual camera's."""
+    def view(
+            self, R_virtual_view: Rotation, hfov_rad: float, size_wh: tuple[int, int]) -> Image:
+        """Return a perspective image along a direction of the virtual camera's."""
         return self.seen_along(self.R_camera_virtual * R_virtual_view, hfov_rad, size_wh)
 
-    def seen_along(self, R_camera_target, hfov_rad=None, size_wh=None):
+    def seen_along(self, R_camera_target: Rotation, hfov_rad: float | None = None,
+                   size_wh: tuple[int, int] | None = None) -> Image:
         """Return what a camera turned against this one sees: the sphere, or a perspective view."""
         image = self.frame.image
         if hfov_rad is None:
             width = self.projection.sphere_width if self.projection else image.shape[1]
             warp = equirect_warp(width)
         else:
+            assert size_wh is not None, 'a perspective view has a size'
             warp = perspective_warp(float(hfov_rad), *size_wh)
         return warp(image, R_camera_target, self.projection)
 
 
 class Stabilizer:
-    """Takes the camera's rotation out of a stream of frames."""
+    """
+    Takes the camera's rotation out of a stream of frames.
 
-    def __init__(self, config=StabilizerConfig()):
+    Parameters
+    ----------
+    config : StabilizerConfig
+    make_tracker : callable
+        Returns the Tracker to use, from the same arguments as ``tracking.make_tracker``: the place
+        for an estimator of your own.
+
+    """
+
+    def __init__(self, config: StabilizerConfig = StabilizerConfig(),
+                 make_tracker: MakeTracker = make_tracker) -> None:
+        self._make_tracker = make_tracker
         # Filled by add_imu, in another thread maybe, and emptied by process.
-        self._imu_inbox = deque(maxlen=IMU_INBOX_SIZE)
+        self._imu_inbox: deque[ImuSample] = deque(maxlen=IMU_INBOX_SIZE)
         self._imu = ImuHistory()
         self._gravity = Gravity()
         self._leveler = Leveler()
@@ -110,14 +128,14 @@ class Stabilizer:
         self.reset()
 
     @property
-    def tracker(self):
+    def tracker(self) -> Tracker | None:
         """Return the Tracker at work; None before the first frame."""
         return self._tracker
 
-    def reset(self):
+    def reset(self) -> None:
         """Make the next frame's orientation the world's."""
-        self._tracker = None
-        self._last = None
+        self._tracker: Tracker | None = None
+        self._last: Frame | None = None
         # The tracker's orientations count from the origin, the world is that made level.
         self._R_origin_start = Rotation.identity()
         self._R_origin_camera = Rotation.identity()
@@ -125,9 +143,10 @@ class Stabilizer:
         self._leveler.reset()
         self._smoother.reset()
         # Of the start and of the last frame; None where it is not known.
-        self._start_covariance = self._covariance = np.zeros((3, 3))
+        self._start_covariance: Covariance | None = np.zeros((3, 3))
+        self._covariance: Covariance | None = self._start_covariance
 
-    def reconfigure(self, config):
+    def reconfigure(self, config: StabilizerConfig) -> None:
         """
         Take on another config.
 
@@ -143,15 +162,15 @@ class Stabilizer:
             self._gravity.reset()
         self.config = config
 
-    def add_imu(self, sample):
-        """Take in an ImuSample; may be called from any thread while frames are processed."""
+    def add_imu(self, sample: ImuSample) -> None:
+        """Take in a sample; may be called from any thread while frames are processed."""
         self._imu_inbox.append(sample)
 
-    def forget_imu(self):
+    def forget_imu(self) -> None:
         """Forget what was felt so far, because the clock was set back."""
         self._imu.clear()
 
-    def level_here(self):
+    def level_here(self) -> None:
         """
         Make the present orientation level, keeping its heading, or raise LevelError.
 
@@ -161,14 +180,15 @@ class Stabilizer:
             raise LevelError('the IMU says what is level')
         self._leveler.level_here()
 
-    def process(self, frame):
+    def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
         self._projection = projection_of(frame.size_wh, self.config)
         events = tuple(self._events(frame))
-        if self._tracker is None or StabilizationEvent.RESIZED in events:
-            self._start(frame)
+        tracker = self._tracker
+        if tracker is None or StabilizationEvent.RESIZED in events:
+            tracker = self._started(frame)
         self._take_in_imu()
-        tracked = self._track(frame)
+        tracked = self._track(tracker, frame)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
         self._covariance = self._in_origin(tracked.covariance)
         R_world_origin = self._level(frame.stamp_ns)
@@ -182,12 +202,12 @@ class Stabilizer:
             frame, R_world_camera, tracked.status, events,
             covariance, R_world_virtual, self._projection)
 
-    def settle(self):
+    def settle(self) -> None:
         """Do what the last frame did not have to wait for; the next one will do it otherwise."""
         if self._tracker is not None:
             self._tracker.settle()
 
-    def _events(self, frame):
+    def _events(self, frame: Frame) -> Iterator[StabilizationEvent]:
         if self._last is None:
             return
         if frame.size_wh != self._last.size_wh:
@@ -200,24 +220,25 @@ class Stabilizer:
         if self.config.level == IMU and self._gravity.age_s(frame.stamp_ns) > LONG_GAP_S:
             yield StabilizationEvent.NO_GRAVITY
 
-    def _start(self, frame):
+    def _started(self, frame: Frame) -> Tracker:
         """Start a tracker for frames of this size, in the orientation and place reached so far."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
-        self._tracker = make_tracker(
+        tracker = self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._imu.gyro_rotation)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
         if self._last is not None and self._last.size_wh == frame.size_wh:
-            self._track(self._last)
+            self._track(tracker, self._last)
+        return tracker
 
-    def _in_origin(self, covariance):
-        """Return a covariance (3, 3) of the tracker's with that of its start added."""
+    def _in_origin(self, covariance: Covariance | None) -> Covariance | None:
+        """Return a covariance of the tracker's with that of its start added."""
         if covariance is None or self._start_covariance is None:
             return None
         return self._start_covariance + rotate_covariance(covariance, self._R_origin_start)
 
-    def _take_in_imu(self):
+    def _take_in_imu(self) -> None:
         if not self._imu_inbox:
             return
         imu = self.config.imu
@@ -225,7 +246,7 @@ class Stabilizer:
         while self._imu_inbox:
             self._imu.add(self._imu_inbox.popleft(), R_camera_imu)
 
-    def _level(self, stamp_ns):
+    def _level(self, stamp_ns: int) -> Rotation:
         """Return R_world_origin."""
         up = None
         if self.config.level == IMU:
@@ -233,11 +254,11 @@ class Stabilizer:
             up = self._gravity.up
         return self._leveler.update(stamp_ns, self._R_origin_camera, up)
 
-    def _track(self, frame):
+    def _track(self, tracker: Tracker, frame: Frame) -> TrackedOrientation:
         grey = self._projection.grey_sphere(frame, self._working_width)
-        return self._tracker.track(grey, frame.stamp_ns)
+        return tracker.track(grey, frame.stamp_ns)
 
 
-def view_direction(view):
-    """Return R_virtual_view of a ViewConfig."""
+def view_direction(view: ViewConfig) -> Rotation:
+    """Return R_virtual_view."""
     return view_rotation(*np.deg2rad((view.yaw_deg, view.pitch_deg, view.roll_deg)))

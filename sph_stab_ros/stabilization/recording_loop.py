@@ -6,18 +6,31 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Stabilise a recording picture by picture; what is made of each is up to sinks."""
+"""Stabilise a recording frame by frame and hand each result to sinks, which write it."""
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import islice
 import logging
+from typing import Any, Protocol
+
+from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.projection_factory import ProjectionError
-from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.recording import Recording, RecordingError
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 
 logger = logging.getLogger(__name__)
+
+
+class FrameProcessor(Protocol):
+    """A Stabilizer, or what stands in for one."""
+
+    def process(self, frame: Frame) -> StabilizedFrame:
+        """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
 
 
 @dataclass
@@ -25,13 +38,13 @@ class Summary:
     """What happened on the way through a recording."""
 
     frames: int = 0
-    statuses: Counter = field(default_factory=Counter)
-    events: Counter = field(default_factory=Counter)
-    left_out: Counter = field(default_factory=Counter)
+    statuses: Counter[str] = field(default_factory=Counter)
+    events: Counter[str] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
     turned_rad: float = 0.
-    R_world_camera: object = None
+    R_world_camera: Rotation | None = None
 
-    def add(self, stabilized):
+    def add(self, stabilized: StabilizedFrame) -> None:
         """Count a StabilizedFrame; name the first event of each kind in the log."""
         self.frames += 1
         self.statuses[stabilized.status.value] += 1
@@ -45,21 +58,24 @@ class Summary:
         self.R_world_camera = stabilized.R_world_camera
 
 
-def stabilize_recording(recording, stabilizer, sinks=(), max_frames=None, progress=iter):
+def stabilize_recording(
+        recording: Recording, stabilizer: FrameProcessor,
+        sinks: Iterable[Callable[[StabilizedFrame], Any]] = (), max_frames: int | None = None,
+        progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter) -> Summary:
     """
     Stabilise a Recording frame by frame and return the Summary.
 
     Parameters
     ----------
-    recording : Recording
+    recording
         Its frames are read to the end or to ``max_frames``.
-    stabilizer : Stabilizer
+    stabilizer
         Fresh, or in the orientation to go on from.
-    sinks : iterable of callable
+    sinks
         Each is called with each StabilizedFrame.
-    max_frames : int, optional
+    max_frames
         How many pictures to read; all by default.
-    progress : callable
+    progress
         Passes on the iterator of frames that it is given, and may tell of it.
 
     Raises

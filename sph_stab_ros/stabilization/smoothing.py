@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-How much of the camera's turning the picture keeps: none, slow turns, or slow turns of heading.
+How much of the camera's rotation the picture keeps: none, slow turns, or slow turns of heading.
 
 The virtual camera, whose pictures are shown, is drawn towards a target: the world itself
 (``lock``, the paper's rotation-less camera), the camera (``follow``), or the level camera of the
@@ -23,7 +23,8 @@ in proportion to it and passes every start and stop of a turn on as a jerk.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import FOLLOW, LOCK, YAW_FOLLOW
+from sph_stab_ros.config import FOLLOW, LOCK, SmoothingConfig, YAW_FOLLOW
+from sph_stab_ros.geometry.arrays import Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.stabilization.level import heading
 
@@ -50,20 +51,22 @@ class Smoother:
     round as slowly as it does after any other turn.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Start anew, at rest in the next target."""
-        self._stamp_ns = None
+        # Of no meaning before there is an orientation.
+        self._stamp_ns = 0
         self._R_world_heading = Rotation.identity()
-        self._R_world_virtual = None
-        self._velocity_rad_s = np.zeros(3)
+        self._R_world_virtual: Rotation | None = None
+        self._velocity_rad_s: Vector = np.zeros(3)
         # The target as a rotation vector from the virtual camera, in its frame.
-        self._ahead_rad = np.zeros(3)
+        self._ahead_rad: Vector = np.zeros(3)
 
-    def update(self, config, stamp_ns, R_world_camera):
-        """Return R_world_virtual for the next R_world_camera under a SmoothingConfig."""
+    def update(
+            self, config: SmoothingConfig, stamp_ns: int, R_world_camera: Rotation) -> Rotation:
+        """Return R_world_virtual for the next R_world_camera."""
         R_world_target = self._target(config.mode, R_world_camera)
         if self._R_world_virtual is None:
             self._R_world_virtual = R_world_target
@@ -74,7 +77,7 @@ class Smoother:
             return WORLD
         ahead_rad = _rotvec_near(self._R_world_virtual.inv() * R_world_target, self._ahead_rad)
         elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
-        turn_rad = np.zeros(3)
+        turn_rad: Vector = np.zeros(3)
         if elapsed_s > 0:
             turn_rad, self._velocity_rad_s = _low_pass(
                 self._velocity_rad_s, self._ahead_rad, ahead_rad, elapsed_s,
@@ -87,7 +90,7 @@ class Smoother:
         self._stamp_ns = stamp_ns
         return self._R_world_virtual
 
-    def _target(self, mode, R_world_camera):
+    def _target(self, mode: str, R_world_camera: Rotation) -> Rotation:
         """Return R_world_target."""
         R_world_heading = heading(R_world_camera)
         if R_world_heading is not None:
@@ -96,7 +99,8 @@ class Smoother:
                 YAW_FOLLOW: self._R_world_heading}[mode]
 
 
-def _low_pass(velocity, u_start, u_end, elapsed_s, time_constant_s):
+def _low_pass(velocity: Vector, u_start: Vector, u_end: Vector, elapsed_s: float,
+              time_constant_s: float) -> tuple[Vector, Vector]:
     """Return x and dx/dt after ``elapsed_s``, from x = 0, for an input on a straight line."""
     omega = 2 / time_constant_s
     slope = (u_end - u_start) / elapsed_s
@@ -110,10 +114,10 @@ def _low_pass(velocity, u_start, u_end, elapsed_s, time_constant_s):
             slope + (rate - omega * pull * elapsed_s) * decay)
 
 
-def _rotvec_near(R, rotvec_rad):
+def _rotvec_near(R: Rotation, rotvec_rad: Vector) -> Vector:
     """Return the rotation vector of R, whole turns added, that is next to the one given."""
     shortest_rad = R.as_rotvec()
     along = shortest_rad if np.linalg.norm(shortest_rad) > NO_AXIS_RAD else rotvec_rad
-    axis = along / max(np.linalg.norm(along), NO_AXIS_RAD)
+    axis = along / max(float(np.linalg.norm(along)), NO_AXIS_RAD)
     turns = np.rint(axis @ (rotvec_rad - shortest_rad) / (2 * np.pi))
     return shortest_rad + 2 * np.pi * turns * axis

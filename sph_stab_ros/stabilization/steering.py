@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Where a virtual camera looks: set at once, or turned and zoomed at rates."""
+"""Where a view looks and how far it zooms: set at once, or changed at given rates."""
 
 from dataclasses import dataclass
 from threading import Lock
@@ -36,12 +36,13 @@ class Rates:
     pitch_rad_s: float = 0.
     zoom_per_s: float = 0.
 
-    def __bool__(self):
+    def __bool__(self) -> bool:
         """Tell whether anything moves."""
         return any((self.yaw_rad_s, self.pitch_rad_s, self.zoom_per_s))
 
 
-def steer(look, rates, elapsed_s, hfov_limits_rad):
+def steer(
+        look: Look, rates: Rates, elapsed_s: float, hfov_limits_rad: tuple[float, float]) -> Look:
     """
     Return the Look after turning and zooming at constant Rates.
 
@@ -58,7 +59,7 @@ def steer(look, rates, elapsed_s, hfov_limits_rad):
                 float(np.clip(2 * np.arctan(half_width), *hfov_limits_rad)))
 
 
-def view_angles(R_virtual_view):
+def view_angles(R_virtual_view: Rotation) -> tuple[float, float, float]:
     """Return yaw, pitch, roll in radians of ``view_rotation``; no roll straight up and down."""
     with warnings.catch_warnings():
         warnings.filterwarnings('ignore', 'Gimbal lock', UserWarning)
@@ -82,14 +83,15 @@ class Steering:
 
     """
 
-    def __init__(self, look, hfov_limits_rad):
+    def __init__(self, look: Look, hfov_limits_rad: tuple[float, float]) -> None:
         self._look = look
         self._hfov_limits_rad = hfov_limits_rad
         self._rates = Rates()
         self._since_s = self._until_s = -np.inf
         self._lock = Lock()
 
-    def look(self, now_s, R_virtual_view=None, hfov_rad=None):
+    def look(self, now_s: float, R_virtual_view: Rotation | None = None,
+             hfov_rad: float | None = None) -> None:
         """Look in a direction, which ends all turning, or with a field of view; None stays."""
         with self._lock:
             self._advance(now_s)
@@ -99,19 +101,19 @@ class Steering:
                 self._look.R_virtual_view if R_virtual_view is None else R_virtual_view,
                 self._look.hfov_rad if hfov_rad is None else hfov_rad)
 
-    def turn(self, now_s, rates, timeout_s):
+    def turn(self, now_s: float, rates: Rates, timeout_s: float) -> None:
         """Turn at Rates until told otherwise, at most for ``timeout_s``."""
         with self._lock:
             self._advance(now_s)
             self._rates, self._until_s = rates, now_s + timeout_s
 
-    def at(self, now_s):
+    def at(self, now_s: float) -> Look:
         """Return the Look at a time."""
         with self._lock:
             self._advance(now_s)
             return self._look
 
-    def _advance(self, now_s):
+    def _advance(self, now_s: float) -> None:
         elapsed_s = min(now_s, self._until_s) - self._since_s
         # A direction given as a quaternion stays exact as long as nothing moves.
         if self._rates and elapsed_s > 0:

@@ -9,7 +9,7 @@
 """Trackers: frames in, the camera's orientation in the world out."""
 
 from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, Tracker, TrackingStatus
-from sph_stab_ros.tracking.factory import make_tracker, working_width
+from sph_stab_ros.tracking.factory import make_tracker, MakeTracker, working_width
 
-__all__ = ['make_tracker', 'no_gyro', 'TrackedOrientation', 'Tracker', 'TrackingStatus',
-           'working_width']
+__all__ = ['make_tracker', 'MakeTracker', 'no_gyro', 'TrackedOrientation', 'Tracker',
+           'TrackingStatus', 'working_width']

@@ -6,14 +6,19 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What trackers give, and what they have in common."""
+"""What every tracker takes and returns."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
-import numpy as np
 from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.arrays import Covariance, Grey
+
+# Returns the turn ``R_from_to`` that a gyro has seen between two stamps in ns, or None.
+GyroRotation: TypeAlias = Callable[[int, int], Rotation | None]
 
 
 class TrackingStatus(Enum):
@@ -31,27 +36,27 @@ class TrackedOrientation:
     """
     The camera's orientation, and how it was come by.
 
-    ``covariance`` (3, 3) in rad² is that of the error's rotation vector in the world,
+    ``covariance`` in rad² is that of the error's rotation vector in the world,
     ``exp(error) R_true``; None where the tracker does not know it.
     """
 
     R_world_camera: Rotation
     status: TrackingStatus
-    covariance: np.ndarray | None = None
+    covariance: Covariance | None = None
 
 
-def no_gyro(from_ns, to_ns):
+def no_gyro(from_ns: int, to_ns: int) -> None:
     """Return None for the turn ``R_from_to`` between two stamps: there is no gyro to tell."""
 
 
 class Tracker(Protocol):
     """What every tracker does."""
 
-    def track(self, grey, stamp_ns) -> TrackedOrientation:
-        """Take in the next grey sphere (H, W) uint8, return the camera's orientation."""
+    def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
+        """Take in the next grey sphere, return the camera's orientation."""
 
-    def settle(self):
+    def settle(self) -> None:
         """Do what was put off; the next frame will do it otherwise."""
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget everything: the next frame's orientation is the new world."""

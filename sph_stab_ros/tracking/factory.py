@@ -6,29 +6,36 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The Tracker that a config asks for, and how wide the pictures are that it works on."""
+"""Make the Tracker that a config asks for, and tell how wide its pictures are."""
+
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
-from sph_stab_ros.config import ANCHORED
+from sph_stab_ros.config import ANCHORED, TrackerConfig
 from sph_stab_ros.geometry.masks import load_mask
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
-from sph_stab_ros.tracking.base import no_gyro
+from sph_stab_ros.tracking.base import GyroRotation, no_gyro, Tracker
 from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
 
 # Corners gain from resolution, dense flow costs by it.
 ANCHORED_WIDTH = 640
 FRAME_TO_FRAME_WIDTH = 480
 
+# From config, width of the grey spheres and gyro to a Tracker.
+MakeTracker: TypeAlias = Callable[[TrackerConfig, int, GyroRotation], Tracker]
 
-def working_width(config):
+
+def working_width(config: TrackerConfig) -> int:
     """Return the width in pixels that images are to be reduced to under a TrackerConfig."""
     if config.working_width:
         return config.working_width
     return ANCHORED_WIDTH if config.estimator == ANCHORED else FRAME_TO_FRAME_WIDTH
 
 
-def make_tracker(config, width, gyro_rotation=no_gyro):
+def make_tracker(
+        config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro) -> Tracker:
     """
     Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
 

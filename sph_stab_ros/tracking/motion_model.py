@@ -11,7 +11,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.tracking.base import GyroRotation
 
 # Of the velocity, what is left of it until the next frame.
 INERTIA = 0.8
@@ -21,30 +23,31 @@ class MotionModel:
     """
     The pose at the last frame that showed something, with its velocities.
 
-    ``R_world_camera`` (Rotation) and ``position`` (3,), in the unit of the map.
+    ``R_world_camera`` and ``position`` (3,), in the unit of the map.
 
     Parameters
     ----------
     max_prediction_s : float
         For how long the velocities are trusted.
-    gyro_rotation : callable
+    gyro_rotation : GyroRotation
         Returns the turn ``R_from_to`` between two stamps as a gyro saw it, or None.
 
     """
 
-    def __init__(self, max_prediction_s, gyro_rotation):
+    def __init__(self, max_prediction_s: float, gyro_rotation: GyroRotation) -> None:
         self._max_prediction_s = max_prediction_s
         self._turn_between = gyro_rotation
         self.R_world_camera = Rotation.identity()
         self.reset(None)
 
-    def reset(self, stamp_ns):
+    def reset(self, stamp_ns: int | None) -> None:
         """Begin at the origin, at rest, in the present orientation; at a time that may be None."""
         self._stamp_ns = stamp_ns
-        self.position, self._velocity_per_s = np.zeros(3), np.zeros(3)
-        self._angular_velocity_rad_s = None
+        self.position: Vector = np.zeros(3)
+        self._velocity_per_s: Vector = np.zeros(3)
+        self._angular_velocity_rad_s: Vector | None = None
 
-    def update(self, stamp_ns, R_world_camera, position):
+    def update(self, stamp_ns: int, R_world_camera: Rotation, position: Vector) -> Rotation:
         """Be there at the next frame; return the step R_last_camera."""
         step, move = self.R_world_camera.inv() * R_world_camera, position - self.position
         self._angular_velocity_rad_s, self._velocity_per_s = None, np.zeros(3)
@@ -55,24 +58,24 @@ class MotionModel:
         self._stamp_ns, self.R_world_camera, self.position = stamp_ns, R_world_camera, position
         return step
 
-    def rotate_world(self, R_new_old):
+    def rotate_world(self, R_new_old: Rotation) -> None:
         """Count from a world that is turned against the old one."""
         self.R_world_camera = R_new_old * self.R_world_camera
         self.position = R_new_old.apply(self.position)
         self._velocity_per_s = R_new_old.apply(self._velocity_per_s)
 
-    def trusted_s(self, stamp_ns):
+    def trusted_s(self, stamp_ns: int) -> float:
         """Return the time since the last frame, as far as the velocities are trusted."""
         if self._stamp_ns is None:
             return 0.
         elapsed_s = (stamp_ns - self._stamp_ns) / NS_PER_S
         return min(max(elapsed_s, 0.), self._max_prediction_s)
 
-    def position_at(self, stamp_ns):
+    def position_at(self, stamp_ns: int) -> Vector:
         """Return the position (3,) expected."""
         return self.position + INERTIA * self.trusted_s(stamp_ns) * self._velocity_per_s
 
-    def predicted_rotation(self, stamp_ns):
+    def predicted_rotation(self, stamp_ns: int) -> Rotation:
         """Return the turn R_last_camera expected."""
         measured = self._gyro_rotation_since(stamp_ns)
         if measured is not None:
@@ -81,12 +84,12 @@ class MotionModel:
             return Rotation.identity()
         return Rotation.from_rotvec(self._angular_velocity_rad_s * self.trusted_s(stamp_ns))
 
-    def is_predictable(self, stamp_ns):
+    def is_predictable(self, stamp_ns: int) -> bool:
         """Tell whether the turn expected is more than a guess."""
         return self._gyro_rotation_since(stamp_ns) is not None or (
-            self._angular_velocity_rad_s is not None
+            self._angular_velocity_rad_s is not None and self._stamp_ns is not None
             and 0 <= stamp_ns - self._stamp_ns <= self._max_prediction_s * NS_PER_S)
 
-    def _gyro_rotation_since(self, stamp_ns):
+    def _gyro_rotation_since(self, stamp_ns: int) -> Rotation | None:
         """Return the turn as the gyro saw it, None where it did not."""
         return None if self._stamp_ns is None else self._turn_between(self._stamp_ns, stamp_ns)

@@ -76,6 +76,14 @@ def test_pictures_that_show_nothing_are_no_estimate(method):
             assert estimate(method, *pair) is None
 
 
+def test_moment_tells_nothing_where_no_antipodes_are_left():
+    """A masked half of the sphere hides the antipode of each pixel of the other."""
+    used = np.zeros((WIDTH // 2, WIDTH), bool)
+    used[:WIDTH // 4] = True
+    grey = textured_sphere(WIDTH)
+    assert ImagePair(Sphere(grey, used), Sphere(grey, used), 'dis').moment() is None
+
+
 @every_method
 def test_pixels_not_used_do_not_matter(method):
     """A body fixed to the camera, a tenth of the sphere, is masked."""

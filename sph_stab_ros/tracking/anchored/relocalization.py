@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-How a camera that was lost is turned in the world that it knew before: by features.
+Relocalisation: how a camera that was lost is turned in the world it knew before, by features.
 
 Landmarks are found again where the camera is near its expected place; after a long gap it is not,
 and a new map begins, turned by what nobody has seen. Features are matched from farther away, and

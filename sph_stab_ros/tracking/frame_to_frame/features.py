@@ -12,7 +12,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from sph_stab_ros.geometry.arrays import Bearings, Grey, Mask
 from sph_stab_ros.geometry.equirect import bearings_from_pixels, pad_sphere
 from sph_stab_ros.tracking.frame_to_frame.estimators.base import BearingPairs
 
@@ -29,11 +31,11 @@ MAX_DISTANCE_RATIO = 0.8
 class Features:
     """Bearings (N, 3) of features and their binary descriptors (N, D) uint8."""
 
-    bearings: np.ndarray
-    descriptors: np.ndarray
+    bearings: Bearings
+    descriptors: NDArray[np.uint8]
 
 
-def detect(grey, used=None):
+def detect(grey: Grey, used: Mask | None = None) -> Features:
     """Return the A-KAZE Features of a grey sphere (H, W), strongest first, seam included."""
     height, width = grey.shape
     keypoints, descriptors = cv2.AKAZE_create(threshold=DETECTOR_THRESHOLD).detectAndCompute(
@@ -50,7 +52,7 @@ def detect(grey, used=None):
     return Features(bearings_from_pixels(uv[best], width), descriptors[best])
 
 
-def match(previous, current):
+def match(previous: Features, current: Features) -> BearingPairs:
     """Return the BearingPairs of two sets of Features, matched both ways, of equal weights."""
     if min(len(previous.bearings), len(current.bearings)) < 2:
         return BearingPairs.empty()
@@ -63,7 +65,7 @@ def match(previous, current):
     return BearingPairs(previous.bearings[i], current.bearings[j], np.ones(len(i)))
 
 
-def _best_matches(query, train):
+def _best_matches(query: NDArray[np.uint8], train: NDArray[np.uint8]) -> dict[int, int]:
     """Return {query index: train index} of the matches that pass the ratio test."""
     matches = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(query, train, k=2)
     return {best.queryIdx: best.trainIdx for best, second in matches

@@ -6,17 +6,22 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Two spheres and the paper's three ways to tell the rotation between them."""
+"""Two consecutive spheres and the paper's three methods for the rotation between them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.masks import antipodal
-from sph_stab_ros.tracking.frame_to_frame.estimators import fit_epipolar, fit_essential, fit_moment
+from sph_stab_ros.tracking.frame_to_frame.estimators import (
+    BearingPairs, fit_epipolar, fit_essential, fit_moment, RotationEstimate)
 from sph_stab_ros.tracking.frame_to_frame.estimators.epipolar import BOUND_RAD
-from sph_stab_ros.tracking.frame_to_frame.features import detect, match
+from sph_stab_ros.tracking.frame_to_frame.features import detect, Features, match
 from sph_stab_ros.tracking.frame_to_frame.optical_flow import dense_pairs
 
 # Beyond these flow may not have seen the motion, and a start from features pays.
@@ -28,13 +33,13 @@ ABSURD_RESIDUAL_RAD = np.deg2rad(8)
 
 @dataclass(frozen=True)
 class Sphere:
-    """A grey sphere (H, W) uint8 and the pixels of it to use (H, W) bool, all where None."""
+    """A grey sphere and the pixels of it to use, all where None."""
 
-    grey: np.ndarray
-    used: np.ndarray | None = None
+    grey: Grey
+    used: Mask | None = None
 
     @cached_property
-    def features(self):
+    def features(self) -> Features:
         """Find the A-KAZE features, once."""
         return detect(self.grey, self.used)
 
@@ -54,11 +59,15 @@ class ImagePair:
     flow_updates: int = 0
     epipolar_bound_rad: float = BOUND_RAD
 
-    def pts(self):
-        """Estimate from A-KAZE features: eight-point RANSAC for the essential matrix."""
-        return fit_essential(match(self.previous.features, self.current.features))
+    def matches(self) -> BearingPairs:
+        """Return the BearingPairs of the A-KAZE features that match."""
+        return match(self.previous.features, self.current.features)
 
-    def moment(self):
+    def pts(self) -> RotationEstimate | None:
+        """Estimate from A-KAZE features: eight-point RANSAC for the essential matrix."""
+        return fit_essential(self.matches())
+
+    def moment(self) -> RotationEstimate | None:
         """
         Estimate from the directional moment of dense flow (3 DoF).
 
@@ -71,41 +80,51 @@ class ImagePair:
         start = self.pts()
         if start is not None:
             restarted = self._refined(self._moment_from(start.R_current_previous))
-            estimate = min((estimate, restarted), key=lambda fit: fit.residual_rad)
+            if restarted is not None:
+                estimate = min((estimate, restarted), key=lambda fit: fit.residual_rad)
         return estimate if estimate.residual_rad < ABSURD_RESIDUAL_RAD else None
 
-    def pts_epipolar(self):
+    def pts_epipolar(self) -> RotationEstimate | None:
         """Estimate rotation and epipole from dense flow (5 DoF, Eq. 8), started from ``pts``."""
         start = self.pts()
         if start is None:
             return None
         large = start.R_current_previous.magnitude() > LARGE_ROTATION_RAD
-        pairs = self._flow(start.R_current_previous if large else None, self.previous.used)
-        estimate = pairs and fit_epipolar(pairs, start, self.epipolar_bound_rad)
-        for _ in range(self.flow_updates if estimate else 0):
-            pairs = self._flow(estimate.R_current_previous, self.previous.used)
-            estimate = fit_epipolar(pairs, estimate, self.epipolar_bound_rad)
+        estimate = self._epipolar_from(start, start.R_current_previous if large else None)
+        for _ in range(self.flow_updates):
+            if estimate is not None:
+                estimate = self._epipolar_from(estimate, estimate.R_current_previous)
         return estimate
 
-    def _moment_from(self, start):
+    def _moment_from(self, start: Rotation | None) -> RotationEstimate | None:
         pairs = self._flow(start, antipodal(self.previous.used))
-        return pairs and fit_moment(pairs, start)
+        return None if pairs is None else fit_moment(pairs, start)
 
-    def _refined(self, estimate):
-        for _ in range(self.flow_updates if estimate else 0):
-            estimate = self._moment_from(estimate.R_current_previous)
+    def _refined(self, estimate: RotationEstimate | None) -> RotationEstimate | None:
+        for _ in range(self.flow_updates):
+            if estimate is not None:
+                estimate = self._moment_from(estimate.R_current_previous)
         return estimate
 
-    def _flow(self, start, used):
+    def _epipolar_from(self, start: RotationEstimate,
+                       R_guess: Rotation | None) -> RotationEstimate | None:
+        """Fit to the flow of the image derotated by a guess, from the start of another fit."""
+        pairs = self._flow(R_guess, self.previous.used)
+        return (None if pairs is None
+                else fit_epipolar(pairs, start, self.epipolar_bound_rad))
+
+    def _flow(self, start: Rotation | None, used: Mask | None) -> BearingPairs | None:
         return dense_pairs(self.previous.grey, self.current.grey, self.flow, start, used)
 
     @staticmethod
-    def _is_too_large(estimate):
+    def _is_too_large(estimate: RotationEstimate) -> bool:
         return (estimate.R_current_previous.magnitude() > LARGE_ROTATION_RAD
                 or estimate.residual_rad > LARGE_RESIDUAL_RAD)
 
 
-METHODS = {
+# A way from a pair of pictures to a rotation; None where it cannot be told.
+Method: TypeAlias = Callable[[ImagePair], RotationEstimate | None]
+METHODS: dict[str, Method] = {
     'pts': ImagePair.pts,
     'moment': ImagePair.moment,
     'pts_epipolar': ImagePair.pts_epipolar,

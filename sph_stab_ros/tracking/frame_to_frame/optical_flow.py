@@ -9,11 +9,13 @@
 """Dense optical flow on the sphere: two equirectangular images to pairs of bearings."""
 
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Flow, Grey, Mask
 from sph_stab_ros.geometry.equirect import (
     bearing_grid, bearings_from_pixels, pad_sphere, row_solid_angles)
 from sph_stab_ros.geometry.warp import rotate_equirect
@@ -27,9 +29,9 @@ PADDING = 1 / 16
 STRIDE_PX = 2
 
 
-def farneback(previous, current):
+def farneback(previous: Grey, current: Grey) -> Flow:
     """
-    Return Farneback's flow (H, W, 2) in pixels between two grey images (H, W).
+    Return Farneback's flow (H, W, 2) in pixels between two grey images.
 
     A small Gaussian window: on four photos turned by 1° and 5°, ``moment`` errs by 0.10° with it,
     by 0.28° with the customary box of 15 px.
@@ -39,22 +41,22 @@ def farneback(previous, current):
         poly_n=5, poly_sigma=1.1, flags=cv2.OPTFLOW_FARNEBACK_GAUSSIAN)
 
 
-def dis(previous, current):
+def dis(previous: Grey, current: Grey) -> Flow:
     """Return the flow (H, W, 2) in pixels by Dense Inverse Search, preset medium."""
     return _dis_medium().calc(previous, current, None)
 
 
 @lru_cache(maxsize=1)
-def _dis_medium():
+def _dis_medium() -> Any:
     return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
 
 
 FLOWS = {'farneback': farneback, 'dis': dis}
 
 
-def spherical_flow(previous, current, flow='farneback'):
+def spherical_flow(previous: Grey, current: Grey, flow: str = 'farneback') -> Flow:
     """
-    Return the flow (H, W, 2) in pixels from one grey sphere (H, W) to another, seamless.
+    Return the flow (H, W, 2) in pixels from one grey sphere to another, seamless.
 
     Both are continued across the seam and the poles before the flow is computed.
     """
@@ -63,7 +65,9 @@ def spherical_flow(previous, current, flow='farneback'):
     return padded[margin_px:-margin_px, margin_px:-margin_px]
 
 
-def dense_pairs(previous, current, flow='farneback', start=None, used=None):
+def dense_pairs(
+        previous: Grey, current: Grey, flow: str = 'farneback', start: Rotation | None = None,
+        used: Mask | None = None) -> BearingPairs | None:
     """
     Return the BearingPairs of the dense flow, weighted by solid angle, or None without texture.
 

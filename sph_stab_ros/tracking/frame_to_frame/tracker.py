@@ -8,12 +8,17 @@
 
 """The paper's tracker: a chain of rotations from frame to frame."""
 
+from typing import Any
+
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Grey, Mask, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.texture import has_texture
-from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, TrackingStatus
-from sph_stab_ros.tracking.frame_to_frame.image_pair import ImagePair, METHODS, Sphere
+from sph_stab_ros.tracking.base import (
+    GyroRotation, no_gyro, TrackedOrientation, TrackingStatus)
+from sph_stab_ros.tracking.frame_to_frame.image_pair import (
+    ImagePair, Method, METHODS, Sphere)
 
 
 class FrameToFrameTracker:
@@ -25,37 +30,38 @@ class FrameToFrameTracker:
 
     Parameters
     ----------
-    method : str
-        A name in METHODS.
+    method : str or callable
+        A name in METHODS, or a function of an ImagePair that returns a RotationEstimate or None.
     used : (H, W) bool, optional
         Pixels to use.
     max_prediction_s : float
         For how long the last angular velocity is trusted.
-    gyro_rotation : callable
-        Returns the turn ``R_from_to`` between two stamps, or None.
+    gyro_rotation : GyroRotation
     pair_options :
         Those of ImagePair.
 
     """
 
-    def __init__(self, method, used=None, max_prediction_s=0.5, gyro_rotation=no_gyro,
-                 **pair_options):
-        self._estimate = METHODS[method]
+    def __init__(self, method: str | Method, used: Mask | None = None,
+                 max_prediction_s: float = 0.5, gyro_rotation: GyroRotation = no_gyro,
+                 **pair_options: Any) -> None:
+        self._estimate = METHODS[method] if isinstance(method, str) else method
         self._pair_options = pair_options
         self._used = used
         self._max_prediction_s = max_prediction_s
         self._turn_between = gyro_rotation
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget everything: the next frame's orientation is the new world."""
-        self._reference = None
-        self._reference_stamp_ns = None
+        self._reference: Sphere | None = None
+        # Of no meaning before there is a reference.
+        self._reference_stamp_ns = 0
         self._R_world_reference = Rotation.identity()
-        self._angular_velocity_rad_s = None
+        self._angular_velocity_rad_s: Vector | None = None
 
-    def track(self, grey, stamp_ns):
-        """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
+    def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
+        """Return the TrackedOrientation of the next grey sphere."""
         if not has_texture(grey):
             return self._predicted(stamp_ns)
         current = Sphere(grey, self._used)
@@ -76,15 +82,15 @@ class FrameToFrameTracker:
         self._refer_to(current, stamp_ns, self._R_world_reference * R_reference_camera)
         return TrackedOrientation(self._R_world_reference, TrackingStatus.OK)
 
-    def settle(self):
+    def settle(self) -> None:
         """Do nothing: nothing is put off."""
 
-    def _refer_to(self, sphere, stamp_ns, R_world_reference):
+    def _refer_to(self, sphere: Sphere, stamp_ns: int, R_world_reference: Rotation) -> None:
         self._reference = sphere
         self._reference_stamp_ns = stamp_ns
         self._R_world_reference = R_world_reference
 
-    def _predicted(self, stamp_ns):
+    def _predicted(self, stamp_ns: int) -> TrackedOrientation:
         """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
         turn = (None if self._reference is None
                 else self._turn_between(self._reference_stamp_ns, stamp_ns))

@@ -10,27 +10,30 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.arrays import Bearings, Values, Vector
 
 
 @dataclass(frozen=True)
 class BearingPairs:
     """The same points seen twice: unit bearings (N, 3) each, and weights (N,) ≥ 0."""
 
-    previous: np.ndarray
-    current: np.ndarray
-    weights: np.ndarray
+    previous: Bearings
+    current: Bearings
+    weights: Values
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.weights)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: Any) -> 'BearingPairs':
         return BearingPairs(self.previous[index], self.current[index], self.weights[index])
 
     @classmethod
-    def empty(cls):
+    def empty(cls) -> 'BearingPairs':
         """Return no pairs at all."""
         return cls(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
 
@@ -57,11 +60,11 @@ class RotationEstimate:
     R_current_previous: Rotation
     residual_rad: float
     support: int
-    t_current: np.ndarray | None = None
+    t_current: Vector | None = None
     status: FitStatus = FitStatus.OK
 
 
-def weighted_median(values, weights):
+def weighted_median(values: Values, weights: Values) -> float:
     """Return the value (of values (N,)) below which half of the weights (N,) lie."""
     order = np.argsort(values)
     cumulated = np.cumsum(weights[order])

@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Floats, Values, Vector, Vectors
 from sph_stab_ros.tracking.frame_to_frame.estimators.base import (
-    FitStatus, RotationEstimate, weighted_median)
+    BearingPairs, FitStatus, RotationEstimate, weighted_median)
 from sph_stab_ros.tracking.frame_to_frame.estimators.levenberg_marquardt import (
     levenberg_marquardt, Linearised)
 
@@ -36,15 +37,16 @@ class _State:
     """Rotation R and epipole q (3,) of Eq. 8."""
 
     R: Rotation
-    q: np.ndarray
+    q: Vector
 
-    def moved(self, step):
+    def moved(self, step: Floats) -> '_State':
         """Return the state one step (5,) away: R turned by 3, q moved along its tangents by 2."""
         q = self.q + tangent_basis(self.q) @ step[3:]
         return _State(Rotation.from_rotvec(step[:3]) * self.R, q / np.linalg.norm(q))
 
 
-def fit_epipolar(pairs, start, bound_rad=BOUND_RAD):
+def fit_epipolar(pairs: BearingPairs, start: RotationEstimate,
+                 bound_rad: float = BOUND_RAD) -> RotationEstimate | None:
     """
     Return the RotationEstimate of Eq. 8 from the start of another estimator, or None.
 
@@ -80,13 +82,13 @@ def fit_epipolar(pairs, start, bound_rad=BOUND_RAD):
     return RotationEstimate(end.R, weighted_median(off_plane, weights), len(pairs), end.q)
 
 
-def flow_angles(pairs, R_current_previous, q):
+def flow_angles(pairs: BearingPairs, R_current_previous: Rotation, q: Vector) -> Values:
     """Return Ω (N,) in (−π, π]: how far the derotated flow points aside of the epipole q (3,)."""
     x_r = R_current_previous.apply(pairs.previous)
     return np.arctan2(*_sine_cosine(x_r, pairs.current, q))
 
 
-def epipole_of_flow(pairs, R_current_previous):
+def epipole_of_flow(pairs: BearingPairs, R_current_previous: Rotation) -> Vector:
     """
     Return the unit epipole (3,) that a known rotation leaves to the flow.
 
@@ -99,12 +101,12 @@ def epipole_of_flow(pairs, R_current_previous):
     return q * (1. if pairs.weights @ (pairs.current - x_r) @ q >= 0 else -1.)
 
 
-def tangent_basis(q):
+def tangent_basis(q: Vector) -> Floats:
     """Return two unit columns (3, 2) that span the tangent plane of the sphere at q (3,)."""
     return np.linalg.svd(q[None])[2][1:].T
 
 
-def _sine_cosine(x, x_moved, q):
+def _sine_cosine(x: Vectors, x_moved: Vectors, q: Vector) -> tuple[Values, Values]:
     """
     Return s, c (N,) with ``Ω = atan2(s, c)``.
 
@@ -116,7 +118,8 @@ def _sine_cosine(x, x_moved, q):
     return s, c
 
 
-def _linearise(state, pairs, weights, bound_rad):
+def _linearise(
+        state: _State, pairs: BearingPairs, weights: Values, bound_rad: float) -> Linearised:
     """Linearise √w Ω under R ← exp(ω) R, q ← q + B s: Ω' = (c s' − s c') / (s² + c²)."""
     # Bearings as columns (3, N): a row is a vector of all pairs, which NumPy goes through fastest.
     x, x_moved, q = state.R.as_matrix() @ pairs.previous.T, pairs.current.T, state.q

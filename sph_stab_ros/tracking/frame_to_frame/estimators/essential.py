@@ -11,7 +11,9 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.tracking.frame_to_frame.estimators.base import RotationEstimate, weighted_median
+from sph_stab_ros.geometry.arrays import Choice, Floats, Matrix, Vector
+from sph_stab_ros.tracking.frame_to_frame.estimators.base import (
+    BearingPairs, RotationEstimate, weighted_median)
 
 MIN_INLIERS = 16
 SAMPLE_SIZE = 8
@@ -22,7 +24,7 @@ CONFIDENCE = 0.999
 INLIER_RAD = 5e-3
 
 
-def fit_essential(pairs, seed=0):
+def fit_essential(pairs: BearingPairs, seed: int = 0) -> RotationEstimate | None:
     """
     Return the RotationEstimate of ``x'ᵀ E x = 0`` over matches with outliers, or None.
 
@@ -47,12 +49,12 @@ def fit_essential(pairs, seed=0):
     return RotationEstimate(R, residual_rad, int(inliers.sum()), t)
 
 
-def epipolar_equations(pairs):
+def epipolar_equations(pairs: BearingPairs) -> Floats:
     """Return A (N, 9) with ``A vec(E) = x'ᵀ E x``."""
     return np.einsum('ni,nj->nij', pairs.current, pairs.previous).reshape(-1, 9)
 
 
-def linear_fit(equations):
+def linear_fit(equations: Floats) -> Matrix:
     """
     Return the essential matrices (..., 3, 3) that fit equations (..., N, 9) least squares best.
 
@@ -65,7 +67,7 @@ def linear_fit(equations):
     return U[..., :2] @ Vt[..., :2, :]
 
 
-def epipolar_distance(E, pairs):
+def epipolar_distance(E: Matrix, pairs: BearingPairs) -> Floats:
     """
     Return the larger angle (K, N), in radians, of each pair's bearings to their epipolar planes.
 
@@ -78,7 +80,7 @@ def epipolar_distance(E, pairs):
     return products / np.maximum(shorter, 1e-12)
 
 
-def _ransac(pairs, equations, rng):
+def _ransac(pairs: BearingPairs, equations: Floats, rng: np.random.Generator) -> Choice:
     """Return the inliers (N,) bool of the best of many eight-point samples."""
     best = np.zeros(len(pairs), bool)
     samples_needed, samples = MAX_SAMPLES, 0
@@ -94,7 +96,7 @@ def _ransac(pairs, equations, rng):
     return best
 
 
-def decompose(E, pairs):
+def decompose(E: Matrix, pairs: BearingPairs) -> tuple[Rotation, Vector]:
     """
     Return R_current_previous (Rotation) and the unit t_current (3,) of ``E = [t]× R``.
 
@@ -113,7 +115,7 @@ def decompose(E, pairs):
     return R, sign * t
 
 
-def in_front(R_current_previous, t_current, pairs):
+def in_front(R_current_previous: Rotation, t_current: Vector, pairs: BearingPairs) -> Choice:
     """Tell which pairs (N,) meet at positive depths along both rays, for ``X' = R X + t``."""
     x_r = R_current_previous.apply(pairs.previous)
     normal = np.cross(pairs.current, x_r)

@@ -14,10 +14,15 @@ and knows no manifold; on the 5×5 normal equations of the few well-scaled unkno
 steps in the tangent space, Eq. 8 takes less than half of its time, at the same minimum.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
+from sph_stab_ros.geometry.arrays import Floats
+
+State = TypeVar('State')
 # Less than this changes no step; from much less it takes many refused ones to come back.
 MIN_DAMPING = 1e-6
 
@@ -31,12 +36,15 @@ class Linearised:
     are not all wanted.
     """
 
-    JTJ: np.ndarray
-    JTr: np.ndarray
+    JTJ: Floats
+    JTr: Floats
     merit: float
 
 
-def levenberg_marquardt(state, linearise, retract, step_tolerance=1e-7, max_iterations=30):
+def levenberg_marquardt(
+        state: State, linearise: Callable[[State], Linearised],
+        retract: Callable[[State, Floats], State], step_tolerance: float = 1e-7,
+        max_iterations: int = 30) -> State:
     """
     Return the state that minimises the merit, starting from ``state``.
 

@@ -17,7 +17,9 @@ one whose removal makes the moment vanish.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.tracking.frame_to_frame.estimators.base import RotationEstimate, weighted_median
+from sph_stab_ros.geometry.arrays import Values, Vector
+from sph_stab_ros.tracking.frame_to_frame.estimators.base import (
+    BearingPairs, RotationEstimate, weighted_median)
 from sph_stab_ros.tracking.frame_to_frame.estimators.levenberg_marquardt import (
     levenberg_marquardt, Linearised)
 
@@ -27,7 +29,7 @@ MIN_PAIRS = 50
 SMOOTHING_RAD = (0.3, 0.03, 3e-3, 3e-4)
 
 
-def fit_moment(pairs, start=None):
+def fit_moment(pairs: BearingPairs, start: Rotation | None = None) -> RotationEstimate | None:
     """
     Return the RotationEstimate whose derotated flow has no directional moment, or None.
 
@@ -53,7 +55,8 @@ def fit_moment(pairs, start=None):
     return RotationEstimate(R, weighted_median(flow_rad, weights), len(pairs))
 
 
-def directional_moment(pairs, R_current_previous, smoothing_rad=0.):
+def directional_moment(pairs: BearingPairs, R_current_previous: Rotation,
+                       smoothing_rad: float = 0.) -> Vector:
     """Return M (3,) of Eq. 2 under a rotation, for weights that add up to 1."""
     x_r = R_current_previous.apply(pairs.previous)
     flow = pairs.current - x_r
@@ -61,11 +64,12 @@ def directional_moment(pairs, R_current_previous, smoothing_rad=0.):
     return (pairs.weights / pairs.weights.sum() / length) @ np.cross(x_r, flow)
 
 
-def _retract(R, omega):
+def _retract(R: Rotation, omega: Vector) -> Rotation:
     return Rotation.from_rotvec(omega) * R
 
 
-def _linearise(R, pairs, weights, smoothing_rad):
+def _linearise(R: Rotation, pairs: BearingPairs, weights: Values,
+               smoothing_rad: float) -> Linearised:
     """
     Linearise M under R ← exp(ω) R.
 
