@@ -30,8 +30,10 @@ setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test t
 demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot in results/demo
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
-test-fast: setup  ## Run the tests that need no ROS and no browser, in two minutes
-	$(PY) -m pytest -m 'not slow and not ros and not browser'
+FAST := not slow and not thorough and not ros and not browser
+
+test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in two minutes
+	$(PY) -m pytest -m '$(FAST)'
 
 test: setup  ## Run all tests but the slow ones, in eight minutes
 	$(PY) -m pytest -m 'not slow'
@@ -43,7 +45,7 @@ test-slow: setup  ## Run the slow tests
 coverage: export COVERAGE_FILE = $(CURDIR)/results/coverage/data
 coverage: setup  ## Run test-fast, and tell in results/coverage which lines it runs
 	mkdir -p results/coverage
-	$(PY) -m pytest -m 'not slow and not ros and not browser' --cov --cov-report=term \
+	$(PY) -m pytest -m '$(FAST)' --cov --cov-report=term \
 	    --cov-report=html:results/coverage/html
 
 ledger: setup  ## Write test/ledger.json, the accuracy measured; ONLY='drone anchored' for a part

@@ -21,11 +21,15 @@ FOLDER_MARKERS = {
     'operator/test_operator_page.py': pytest.mark.browser,
     'operator/test_operator_layout.py': pytest.mark.browser,
     'operator/test_operator_renderers.py': pytest.mark.browser,
+    'test_package.py': pytest.mark.thorough,
+    'test_readme.py': pytest.mark.thorough,
+    'test_style.py': pytest.mark.thorough,
+    'test_types.py': pytest.mark.thorough,
 }
 
 
 def pytest_collection_modifyitems(items):
-    """Mark what starts processes of ROS or a browser."""
+    """Mark what starts processes of ROS or a browser, and what is about the whole repository."""
     for item in items:
         for path, marker in FOLDER_MARKERS.items():
             if item.path.is_relative_to(TEST / path):

@@ -156,14 +156,11 @@ def read_ledger():
     return json.loads(LEDGER.read_text()) if LEDGER.exists() else {}
 
 
-def update(ledger, cases, report=print):
-    """Return a ledger with the cases measured anew, those without data and no others kept."""
+def updated(ledger, measured):
+    """Return a ledger in the order of CASES with figures by Case in it, and no others."""
     written = {}
     for case in CASES:
-        figures = ledger.get(case.recording, {}).get(case.variant)
-        if case in cases and case.path.exists():
-            before, figures = figures, case.measure()
-            report(f'{case.name}: {_short(before)} -> {_short(figures)}')
+        figures = measured.get(case, ledger.get(case.recording, {}).get(case.variant))
         if figures:
             written.setdefault(case.recording, {})[case.variant] = figures
     return written
@@ -180,7 +177,15 @@ def main(words):
     if not cases:
         print(f"ledger: nothing is named '{' '.join(words)}'", file=sys.stderr)
         return 2
-    LEDGER.write_text(json.dumps(update(read_ledger(), cases), indent=2) + '\n')
+    for case in cases:
+        if not case.path.exists():
+            print(f'{case.name}: the recording is not there', file=sys.stderr)
+            continue
+        figures, ledger = case.measure(), read_ledger()
+        before = ledger.get(case.recording, {}).get(case.variant)
+        print(f'{case.name}: {_short(before)} -> {_short(figures)}', flush=True)
+        # At once: measuring all takes minutes, and may be interrupted.
+        LEDGER.write_text(json.dumps(updated(ledger, {case: figures}), indent=2) + '\n')
     return 0
 
 

@@ -26,6 +26,7 @@ from sph_stab_ros.tracking.base import TrackedOrientation
 from synthetic import unit
 from tracking_accuracy import ROOT
 
+pytestmark = pytest.mark.thorough
 # Variances up to twice too large or too small. Since the band is four times as wide as it begins,
 # whatever lies in it leaves it when the covariance is four times as large or as small.
 BAND = 0.5, 2.
