@@ -19,11 +19,11 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest coverage ledger evaluation
-.PHONY: evaluation-real evaluation-hard benchmark benchmark-ros soak frames bags hard-frames hard
-.PHONY: constraints clean
+.PHONY: evaluation-real evaluation-hard company evaluation-company benchmark benchmark-company
+.PHONY: benchmark-ros soak frames bags hard-frames hard constraints clean
 
 help:  ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-17s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test tools
 
@@ -139,6 +139,29 @@ hard: setup  ## Write the hard recordings from pictures in FRAMES, else quickly 
 	    $(call hard_pictures,drone_bare,--hard plain)
 	$(SIMULATE) shake results/hard/shake --force --frames-limit 60 $(call hard_pictures,shake)
 	$(SIMULATE) hover results/hard/hover --force --hard exposure --width 320 --every 3
+
+# Any others will do: nothing may be tuned to these alone.
+SEEDS ?= 0 1 2 3
+
+company: setup  ## Write simulated flights in company, of SEEDS="0 1 ..."; minutes each
+	mkdir -p results/company
+	for seed in $(SEEDS); do for kind in pioneer handheld; do \
+	    $(SIMULATE) company_$$kind results/company/$${kind}_$$seed --seed $$seed --width 960 \
+	    --force || exit 1; done; done
+
+COMPANY = $(dir $(wildcard results/company/*/metadata.yaml $(REAL)/company/*/metadata.yaml))
+
+evaluation-company: setup  ## Evaluate on what make company has written, and REAL/company
+	mkdir -p $(RESULTS)/company
+	for one in $(COMPANY); do \
+	    $(PY) -m sph_stab_ros.evaluate $$one --estimators anchored --every 1 \
+	    --json $(RESULTS)/company/$$(basename $$one).json || exit 1; done
+
+benchmark-company: setup  ## How exact others' methods are on the same; minutes each
+	mkdir -p results/benchmark/company
+	for one in $(COMPANY); do \
+	    $(PY) -m sph_stab_ros.benchmark $$one --parts references \
+	    --json results/benchmark/company/$$(basename $$one).json || exit 1; done
 
 constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 	uv pip compile --universal --python-version 3.10 --all-extras --no-annotate --upgrade \

@@ -18,15 +18,16 @@ from itertools import islice
 from pathlib import Path
 import sys
 
-import cv2
 import numpy as np
 
 from sph_stab_ros.calibration.dual_fisheye import calibrate, CalibrationError, for_size
-from sph_stab_ros.calibration.file import calibration_text, read_calibration
+from sph_stab_ros.calibration.file import calibration_text
 from sph_stab_ros.command_line import add_recording, frames_to_read, Parser, run
-from sph_stab_ros.config import ConfigError, FisheyeConfig
+from sph_stab_ros.command_line.parameters import (
+    add_calibration, add_parameters, given_parameters, settings_from)
 from sph_stab_ros.geometry.fisheye import fits
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.geometry.projection import to_grey
+from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 
 from tqdm import tqdm
@@ -46,7 +47,7 @@ def spread_images(recording, config, max_frames=None, progress=iter):
     total = frames_to_read(recording, max_frames)
     step = -(-total // PICTURES) if total else STEP
     greys, sizes = [], set()
-    with closing(recording.frames()) as frames:
+    with closing(decoded_frames(recording)) as frames:
         for number, frame in enumerate(progress(islice(frames, max_frames))):
             if number % step or len(greys) == PICTURES:
                 continue
@@ -54,8 +55,7 @@ def spread_images(recording, config, max_frames=None, progress=iter):
             height, width = image.shape[:2]
             sizes.add(f'{width}x{height}')
             if fits(config, (width, height)) and (not greys or greys[0].shape == image.shape[:2]):
-                greys.append(
-                    cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image)
+                greys.append(to_grey(image))
     if not greys:
         raise RecordingError(
             f'{recording.name} has no pictures that the calibration to start from is for, '
@@ -73,25 +73,21 @@ def report(recording, greys, calibration):
 
 
 def arguments(argv):
-    """Return the parsed command line and the start, a FisheyeConfig; exit 2 on a usage error."""
+    """Return the parsed command line and the Settings to start from; exit 2 on a usage error."""
     parser = Parser(prog='calibrate', description=__doc__)
     add_recording(parser, 'REC')
     parser.add_argument('--out', metavar='FILE.yaml', type=Path, required=True,
                         help='where to write the parameters of the node')
-    parser.add_argument('--calibration', metavar='FILE.yaml', type=Path,
-                        help="the calibration to start from (default: a Theta S's)")
     parser.add_argument('--force', action='store_true', help='replace FILE.yaml')
+    add_calibration(add_parameters(parser, 'The calibration to start from is fisheye.* of these'))
     args = parser.parse_args(argv)
-    try:
-        start = read_calibration(args.calibration) if args.calibration else FisheyeConfig()
-    except ConfigError as error:
-        parser.error(f'--calibration: {error}')
-    return args, start
+    return args, settings_from(parser, given_parameters(parser, args))
 
 
 def main(argv=None):
     """Run the command line; return the exit status."""
-    args, start = arguments(argv)
+    args, settings = arguments(argv)
+    start = settings.config.fisheye
 
     def command():
         recording = open_recording(args.recording, args.image_topic)

@@ -8,7 +8,7 @@
 
 """Evaluate estimators against a recording's truth, or against rotations injected into it."""
 
-from argparse import ArgumentTypeError, Namespace
+from argparse import ArgumentTypeError
 from contextlib import ExitStack
 from dataclasses import replace
 import importlib
@@ -21,11 +21,11 @@ import sys
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.command_line import (
-    add_projection_options, add_recording, add_tracker_options, frames_to_read, Parser,
-    projection_options, run, tracker_config)
-from sph_stab_ros.config import (
-    ANCHORED, EQUIRECT, MIN_WIDTH, options, StabilizerConfig, TrackerConfig)
+from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line.parameters import (
+    add_calibration, add_parameters, add_shorthands, given_parameters, refuse_bad_mask,
+    settings_from, TRACKER_OPTIONS)
+from sph_stab_ros.config import ANCHORED, EQUIRECT, IMU, MIN_WIDTH, NODE_PARAMETERS
 from sph_stab_ros.evaluation import report
 from sph_stab_ros.evaluation.alignment import EvaluationError
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
@@ -33,17 +33,18 @@ from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_inject
 from sph_stab_ros.evaluation.stitched import Stitched
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.masks import load_mask, MaskError
+from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.stabilization.recorded_imu import find_imu_topic
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 logger = logging.getLogger(__name__)
 
-OPTIONS = {one.name: one for one in options(TrackerConfig)}
-ESTIMATORS, FLOWS = OPTIONS['estimator'].choices, OPTIONS['flow'].choices
+ESTIMATORS, FLOWS = (NODE_PARAMETERS[name].choices for name in ('estimator', 'flow'))
 WITHOUT_FLOW = (ANCHORED, 'pts')
 # Turns of truth and estimate that differ by more do not belong together.
 MAX_RESIDUAL_RATIO = 1 / 3
@@ -56,7 +57,10 @@ def evaluate(args, configs):
     spheres = Stitched(recording, next(iter(configs.values())))
     frames = frames_to_read(recording, args.max_frames)
     if args.plots:
-        make_plots_folder(args.plots)
+        make_folder(args.plots)
+        see_that_figures_can_be_drawn()
+    if args.tum:
+        make_folder(args.tum)
 
     def progress(name, pictures):
         # Shown on terminals only.
@@ -78,6 +82,8 @@ def evaluate(args, configs):
         if args.json:
             file.write_text(json.dumps(
                 {'recording': recording.name, **about, 'estimators': figures}, indent=2) + '\n')
+    if args.tum:
+        write_trajectories(args.tum, errors)
     if args.plots:
         draw(args.plots, spheres, errors)
 
@@ -85,9 +91,12 @@ def evaluate(args, configs):
 def by_truth(args, recording, configs, progress):
     """Return what to say about the alignment, and Errors and figures by estimator."""
     topic = args.truth or find_truth_topic(recording)
+    levelled = any(config.level == IMU for config in configs.values())
+    imu_topic = find_imu_topic(recording, args.imu_topic) if levelled else None
     truth = read_truth(recording, topic)
     alignment, errors, figures = evaluate_against_truth(
-        recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress)
+        recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress,
+        imu_topic)
     about = {'truth': topic, **report.describe(alignment, args.mount is not None)}
     print(f'{recording.name}: {len(truth)} true orientations in {topic}')
     for line in report.alignment_lines(about, args.clock_offset is None):
@@ -101,10 +110,11 @@ def by_injection(args, spheres, configs, frames, progress):
     if frames is None or frames < 2:
         raise EvaluationError('--inject needs two frames or more'
                               if frames else 'unknown length, add --max-frames N')
+    mask = next(iter(configs.values())).tracker.mask
     configs = {name: replace(config, projection=EQUIRECT) for name, config in configs.items()}
     errors, figures = evaluate_injected(
         spheres, configs, args.inject, frames, args.body, progress)
-    about = {'injected_seed': args.inject, 'body': args.body, 'mask': args.mask}
+    about = {'injected_seed': args.inject, 'body': args.body, 'mask': mask}
     print(f'{spheres.name}: ' + report.injection_line(about, figures))
     return about, errors, figures
 
@@ -130,13 +140,28 @@ def draw(folder, recording, errors):
         figures.draw(folder, recording.name, example)
 
 
-def make_plots_folder(folder):
-    """Make the folder and see that figures can be drawn, before all the work is done."""
+def write_trajectories(folder, errors):
+    """Write what the Errors by estimator compare, one file each, for other tools to compare."""
+    trajectories = {name.replace('/', '_'): one.estimate for name, one in errors.items()}
+    # The truth, at the frames' times and of the camera, is the same for all.
+    trajectories['truth'] = next(iter(errors.values())).truth
+    for name, trajectory in trajectories.items():
+        with partial_output(folder / f'{name}.tum', force=True) as path:
+            write_tum(path, trajectory)
+
+
+def make_folder(folder):
+    """Make the folder of an output before all the work is done."""
     try:
         folder.mkdir(exist_ok=True)
-        importlib.import_module('matplotlib')
     except OSError as error:
         raise RecordingError(f'{folder} cannot be written: {error.strerror}') from error
+
+
+def see_that_figures_can_be_drawn():
+    """Raise RecordingError if they cannot."""
+    try:
+        importlib.import_module('matplotlib')
     except ImportError:
         raise RecordingError(
             "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
@@ -187,10 +212,11 @@ def arguments(argv):
     parser = Parser(prog='evaluate', description=__doc__)
     add_recording(parser, 'REC')
     parser.add_argument('--estimators', metavar='A,B,...', type=names_argument(ESTIMATORS),
-                        default=ESTIMATORS, help=f'of {", ".join(ESTIMATORS)} (default: all)')
+                        help=f'of {", ".join(ESTIMATORS)} (default: what the parameters say, or '
+                        'all)')
     parser.add_argument('--flows', metavar='A,B', type=names_argument(FLOWS),
                         help=f'each estimator with each of {", ".join(FLOWS)} '
-                        f'(default: {TrackerConfig.flow})')
+                        "(default: the parameters')")
     parser.add_argument('--truth', metavar='TOPIC',
                         help='PoseStamped, QuaternionStamped, TransformStamped, Odometry or Imu '
                         '(default: the one there is)')
@@ -209,34 +235,47 @@ def arguments(argv):
                         help='tell the error in the course of time too')
     parser.add_argument('--json', metavar='FILE', type=output_argument,
                         help='write the figures, replacing the file')
+    parser.add_argument('--tum', metavar='DIR', type=output_argument,
+                        help='write truth and estimates relative to the first frame into a '
+                        'folder as TUM files, truth.tum and ESTIMATOR.tum')
     parser.add_argument('--plots', metavar='DIR', type=output_argument,
                         help='draw figures into a folder')
-    add_projection_options(parser)
-    add_tracker_options(parser, without=('estimator', 'flow'))
+    add_imu_topic(parser)
+    group = add_parameters(parser, 'Those of estimator, projection, level and IMU count')
+    add_shorthands(group, ('projection',))
+    add_calibration(group)
+    add_shorthands(group, (name for name in TRACKER_OPTIONS if name not in ('estimator', 'flow')))
     args = parser.parse_args(argv)
+    parameters = given_parameters(parser, args)
+    config = settings_from(parser, parameters).config
     # Written so that NaN fails.
     if args.every is not None and not args.every > 0:
         parser.error('--every needs a number of seconds above 0')
     if args.json and args.json.is_dir():
         parser.error(f"--json needs a file, '{args.json}' is a folder")
     if args.inject is not None:
-        if args.truth or args.mount is not None or args.clock_offset != 0:
-            parser.error('--inject needs no --truth, --mount or --clock-offset')
+        if args.truth or args.mount is not None or args.clock_offset != 0 or args.tum:
+            parser.error('--inject needs no --truth, --mount, --clock-offset or --tum')
         if args.inject < 0:
             parser.error('--inject needs a SEED of 0 or more')
-        args.body = args.mask if args.body is None else args.body
+        args.body = config.tracker.mask if args.body is None else args.body
         try:
             load_mask(args.body, MIN_WIDTH)
         except MaskError as error:
             parser.error(f'--body: {error}')
+        if config.level == IMU:
+            parser.error('--inject turns the pictures but no IMU: add -p level:=first_frame')
     elif args.body:
         parser.error('--body needs --inject')
-    projection = projection_options(parser, args)
+    if args.estimators is None:
+        args.estimators = [config.tracker.estimator] if 'estimator' in parameters else ESTIMATORS
     configs = {}
-    for estimator, flow in product(args.estimators, args.flows or [TrackerConfig.flow]):
+    for estimator, flow in product(args.estimators, args.flows or [config.tracker.flow]):
         name = f'{estimator}/{flow}' if args.flows and estimator not in WITHOUT_FLOW else estimator
-        configs[name] = StabilizerConfig(tracker=tracker_config(
-            parser, Namespace(**vars(args), estimator=estimator, flow=flow)), **projection)
+        tracker = replace(config.tracker, estimator=estimator, flow=flow)
+        # Estimators work on pictures of different widths.
+        refuse_bad_mask(parser, parameters, tracker)
+        configs[name] = replace(config, tracker=tracker)
     return args, configs
 
 

@@ -16,7 +16,6 @@ remap them with ``--ros-args -r image:=/camera/image``. Ends with status 0 on SI
 from array import array
 from dataclasses import is_dataclass
 from heapq import merge
-from importlib import import_module
 from pathlib import Path
 import signal
 import sys
@@ -33,10 +32,14 @@ from rclpy.utilities import remove_ros_args
 from sensor_msgs.msg import CompressedImage, Image
 
 from sph_stab_ros.command_line import Parser
+from sph_stab_ros.command_line.parameters import (
+    add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.config import NodeConfig
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.ros import messages as ros_messages
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
 # Reliable, as subscribers of either kind can receive that.
@@ -61,12 +64,14 @@ class Player:
     recording : Recording
     topics : iterable of str
         What to publish beside the images, under the same names.
-    compress : bool
-        Whether to publish images as JPEG that are not compressed in the recording.
+    config : NodeConfig
+        Of the node that listens. By its ``image_transport`` images that are not compressed in
+        the recording are published as JPEG, of its ``jpeg_quality``.
 
     """
 
-    def __init__(self, node, recording, topics=(), compress=False):
+    def __init__(self, node, recording, topics=(), config=NodeConfig()):
+        compress = config.image_transport == 'compressed'
         self._node = node
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
@@ -75,7 +80,8 @@ class Player:
             self._sources = [lambda: recorded_messages(recording, recording.image_topic)]
         else:
             images_type = CompressedImage if compress else Image
-            self._sources = [lambda: frame_messages(recording, images_type)]
+            self._sources = [
+                lambda: frame_messages(recording, images_type, config.jpeg_quality)]
         self.images = node.create_publisher(
             images_type, 'image' if images_type is Image else 'image/compressed', QOS)
         self._publishers = [self.images]
@@ -147,11 +153,11 @@ def recorded_messages(recording, topic):
         yield received_ns, copy_fields(recorded, message())
 
 
-def frame_messages(recording, images_type):
+def frame_messages(recording, images_type, jpeg_quality):
     """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
     for frame in recording.frames():
-        fill = fill_image if images_type is Image else fill_compressed
-        msg = fill(images_type(), frame.image)
+        msg = (fill_image(Image(), frame.image) if images_type is Image
+               else fill_compressed(CompressedImage(), frame.image, jpeg_quality))
         msg.header.stamp = Time(nanoseconds=frame.stamp_ns).to_msg()
         msg.header.frame_id = frame.frame_id or CAMERA_FRAME
         yield frame.stamp_ns, msg
@@ -159,10 +165,9 @@ def frame_messages(recording, images_type):
 
 def message_type(name):
     """Return the class of, for example, ``sensor_msgs/msg/Image``."""
-    package, _, message = name.split('/')
     try:
-        return getattr(import_module(f'{package}.msg'), message)
-    except (ImportError, AttributeError):
+        return ros_messages.message_type(name)
+    except ImportError:
         raise RecordingError(f'{name} is not installed') from None
 
 
@@ -188,7 +193,7 @@ def restamp(msg, new_ns):
 
 
 def arguments(argv):
-    """Return the parsed command line; exit 2 on a usage error."""
+    """Return the parsed command line and the Settings; exit 2 on a usage error."""
     parser = Parser(prog='player', description='Publish a recording on ROS topics.')
     parser.add_argument('recording', metavar='REC', type=Path,
                         help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
@@ -199,23 +204,26 @@ def arguments(argv):
                         help='stamp with the current time, as videos always are')
     parser.add_argument('--wait', action='store_true',
                         help='start when somebody listens to the images')
-    parser.add_argument('--compressed', action='store_true',
-                        help='publish JPEG on image/compressed also where images are raw')
     parser.add_argument('--image-topic', metavar='TOPIC',
                         help='where the images are in a bag with several image topics')
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
+    group = add_parameters(
+        parser, 'image_transport and jpeg_quality count, so that the node gets what it wants')
+    group.add_argument('--compressed', action=SetParameters, nargs=0,
+                       read=lambda _, flag: {'image_transport': (flag, 'compressed')},
+                       help='publish JPEG on image/compressed also where images are raw')
     args = parser.parse_args(argv)
     if not args.rate > 0:
         parser.error('--rate must be positive')
-    return args
+    return args, settings_from(parser, given_parameters(parser, args))
 
 
 def main(argv=None):
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['player', *argv]
     try:
-        args = arguments(remove_ros_args(argv)[1:])
+        args, settings = arguments(remove_ros_args(argv)[1:])
         # rclpy's handler ends it; a KeyboardInterrupt on top could come at any time.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         set_up_process()
@@ -230,7 +238,7 @@ def main(argv=None):
             if topic not in recording.topics:
                 raise RecordingError(f'{args.recording} has no topic {topic}')
         node = rclpy.create_node('player')
-        player = Player(node, recording, args.topics, args.compressed)
+        player = Player(node, recording, args.topics, settings.config)
         if args.wait:
             player.wait_for_subscriber()
         # The times of a video are no clock's, and begin with zero, which means unknown to ROS.

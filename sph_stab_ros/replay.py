@@ -9,25 +9,35 @@
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
 from contextlib import ExitStack
+from functools import cache
+import logging
 from pathlib import Path
+import re
 import sys
 import time
 
 import numpy as np
 
-from sph_stab_ros.command_line import (
-    add_projection_options, add_recording, add_tracker_options, frames_to_read, Parser,
-    projection_options, run, tracker_config)
-from sph_stab_ros.config import ANCHORED, NodeConfig, SmoothingConfig, ViewConfig
+from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line.parameters import (
+    add_calibration, add_parameters, add_shorthands, given_parameters, SetParameters,
+    settings_from, TRACKER_OPTIONS)
+from sph_stab_ros.config import ANCHORED, ConfigError, IMU, VIEW, VIEW_NAME
 from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.recording.output import partial_output
-from sph_stab_ros.stabilization.pipeline import Stabilizer, view_direction
+from sph_stab_ros.stabilization.outputs import (
+    configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
+    picture_outputs)
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
+
+logger = logging.getLogger(__name__)
 
 
 def trajectory_sink(path, force, stack):
@@ -43,39 +53,39 @@ def video_sink(path, force, stack, picture):
     return lambda s: writer.write(picture(s), s.stamp_ns)
 
 
-def bag_sink(path, force, stack, config):
-    """Return a sink that writes what the node publishes into a rosbag2 folder."""
+def bag_sink(path, force, stack, settings):
+    """Return a sink that writes what the node publishes, but raw images, into a rosbag2 folder."""
     from sph_stab_ros.recording.bag_writer import BagWriter
     writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
-    world, view = config.stabilized_frame, config.view.frame_id
-    R_world_view, hfov_rad, size_wh = view_geometry(config.view)
+    config = settings.config
+    cameras = [configured_camera(name, view) for name, view in settings.views.items()]
+
+    @cache
+    def say_that_tree_is_missing(frame_id):
+        logger.warning("no /tf in %s: the pictures have the frame_id '%s'", path, frame_id)
 
     def write(s):
-        stamp_ns = s.stamp_ns
-        writer.write_orientation('orientation', stamp_ns, world, s.R_world_camera)
-        writer.write_jpeg('stabilized/image/compressed', stamp_ns, world, s.sphere())
-        writer.write_jpeg('view/image/compressed', stamp_ns, view,
-                          s.view(R_world_view, hfov_rad, size_wh))
-        writer.write_camera_info('view/camera_info', stamp_ns, view, hfov_rad, size_wh)
+        if config.publish_tf and not fits_into_tree(s.frame.frame_id, config, cameras):
+            say_that_tree_is_missing(s.frame.frame_id)
+        for output in (*orientation_outputs(s, config, cameras),
+                       *picture_outputs(s, config, cameras, raw=False)):
+            writer.write(output.topic, output.message(writer.make), s.stamp_ns)
     return write
 
 
-def output_sink(args, config, stack):
+def output_sink(args, settings, stack):
     """Return the sink for OUT."""
     if args.out.suffix != '.mp4':
-        return bag_sink(args.out, args.force, stack, config)
-    R_world_view, hfov_rad, size_wh = view_geometry(config.view)
+        return bag_sink(args.out, args.force, stack, settings)
+    config = settings.config
+    name = viewed(args.view) if args.view else config.views[0]
+    camera = configured_camera(name, settings.views[name])
 
     def picture(s):
         if args.side_by_side:
-            return side_by_side(s, R_world_view, hfov_rad)
-        return s.view(R_world_view, hfov_rad, size_wh) if args.view else s.sphere()
+            return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
+        return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
     return video_sink(args.out, args.force, stack, picture)
-
-
-def view_geometry(view):
-    """Return R_world_view, the field of view in radians and the size (w, h) of a ViewConfig."""
-    return view_direction(view), np.deg2rad(view.hfov_deg), (view.width, view.height)
 
 
 def report(summary, config, elapsed_s):
@@ -97,40 +107,62 @@ def report(summary, config, elapsed_s):
                f'{turned}; the errors of all steps add up, so a slow drift is part of it')
 
 
-def view_argument(text):
-    """Return the ViewConfig of ``yaw,pitch,roll,hfov`` in degrees."""
+def viewed(text):
+    """Return the name of the view that an argument ``NAME`` or ``YAW,PITCH,ROLL,HFOV`` means."""
+    return text if re.fullmatch(VIEW_NAME, text) else VIEW
+
+
+def view_argument(text, flag):
+    """Return the Parameters of ``YAW,PITCH,ROLL,HFOV`` in degrees, none of a view's name."""
+    if re.fullmatch(VIEW_NAME, text):
+        return {}
     names = ('yaw_deg', 'pitch_deg', 'roll_deg', 'hfov_deg')
-    values = [float(value) for value in text.split(',')]
-    return ViewConfig(**dict(zip(names, values, strict=True)))
+    try:
+        return {f'{VIEW}.{name}': (flag, float(value))
+                for name, value in zip(names, text.split(','), strict=True)}
+    except ValueError:
+        raise ConfigError(f"'{text}' is neither YAW,PITCH,ROLL,HFOV in degrees nor the name of a "
+                          'view') from None
 
 
-def smoothing_argument(text):
-    """Return the SmoothingConfig of ``MODE`` or ``MODE:SECONDS``."""
+def smoothing_argument(text, flag):
+    """Return the Parameters of ``MODE`` or ``MODE:SECONDS``."""
     mode, colon, seconds = text.partition(':')
-    return SmoothingConfig(mode, float(seconds)) if colon else SmoothingConfig(mode)
+    try:
+        return {'smoothing.mode': (flag, mode)} | (
+            {'smoothing.time_constant_s': (flag, float(seconds))} if colon else {})
+    except ValueError:
+        raise ConfigError(f"'{seconds}' is not a number of seconds") from None
 
 
 def arguments(argv):
-    """Return the parsed command line and the NodeConfig; exit 2 on a usage error."""
+    """Return the parsed command line and the Settings; exit 2 on a usage error."""
     parser = Parser(prog='replay', description=__doc__)
     add_recording(parser, 'IN')
+    add_imu_topic(parser)
     parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
                         help='rosbag2 folder or .mp4; nothing is warped without it')
     parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
                         help='write "stamp 0 0 0 qx qy qz qw" of each picture')
-    parser.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', type=view_argument,
-                        help='perspective view in degrees; an .mp4 shows it instead of the '
-                        'sphere (--view=-30,0,0,90: with = before a minus)')
-    parser.add_argument('--smoothing', metavar='MODE[:SECONDS]', type=smoothing_argument,
-                        default=SmoothingConfig(),
-                        help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
-                        'slow turns of heading, with this time constant (default: lock)')
     parser.add_argument('--side-by-side', action='store_true',
                         help='an .mp4 of sphere, front and back view, recorded and stabilised')
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
-    add_projection_options(parser)
-    add_tracker_options(parser)
-    args = parser.parse_args(argv)
+    group = add_parameters(
+        parser, 'All count as in the node but those of topics and of steering')
+    group.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', action=SetParameters,
+                       read=view_argument,
+                       help='where the perspective view looks, in degrees (--view=-30,0,0,90: '
+                       'with = before a minus), or the name of one of the views; an .mp4 shows '
+                       'it instead of the sphere')
+    group.add_argument('--smoothing', metavar='MODE[:SECONDS]', action=SetParameters,
+                       read=smoothing_argument,
+                       help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
+                       'slow turns of heading, with this time constant (default: lock)')
+    add_shorthands(group, ('projection',))
+    add_calibration(group)
+    add_shorthands(group, TRACKER_OPTIONS)
+    # OUT may stand behind options too.
+    args = parser.parse_intermixed_args(argv)
     if args.out is None and (args.view or args.side_by_side):
         parser.error('--view and --side-by-side need OUT')
     if args.out is not None and args.out.suffix not in ('', '.mp4'):
@@ -140,18 +172,22 @@ def arguments(argv):
     paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
     if len(set(paths)) < len(paths):
         parser.error('IN, OUT and --trajectory must be different files')
-    # The same defaults as the node's, of which a bag is to look like a recording.
-    return args, NodeConfig(
-        tracker=tracker_config(parser, args), view=args.view or ViewConfig(),
-        smoothing=args.smoothing, **projection_options(parser, args))
+    settings = settings_from(parser, given_parameters(parser, args))
+    if args.view and viewed(args.view) not in settings.views:
+        parser.error(f"--view: '{viewed(args.view)}' is none of the views: "
+                     f'{", ".join(settings.views)}')
+    return args, settings
 
 
 def main(argv=None):
     """Run the command line; return the exit status."""
-    args, config = arguments(argv)
+    args, settings = arguments(argv)
+    config = settings.config
 
     def command():
         recording = open_recording(args.recording, args.image_topic)
+        imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
+               if config.level == IMU else None)
         total = frames_to_read(recording, args.max_frames)
         start_s = time.perf_counter()
         with ExitStack() as stack:
@@ -159,15 +195,17 @@ def main(argv=None):
             if args.trajectory:
                 sinks.append(trajectory_sink(args.trajectory, args.force, stack))
             if args.out:
-                sinks.append(output_sink(args, config, stack))
+                sinks.append(output_sink(args, settings, stack))
             stack.enter_context(logging_redirect_tqdm())
             # Shown on terminals only.
             summary = stabilize_recording(
                 recording, Stabilizer(config), sinks, args.max_frames,
-                lambda frames: tqdm(frames, total=total, unit=' frames',
-                                    disable=None))
+                lambda frames: tqdm(frames, total=total, unit=' frames', disable=None), imu,
+                pictures=args.out is not None)
         for line in report(summary, config, time.perf_counter() - start_s):
             print(line)
+        if imu is not None:
+            print(f'levelled by {imu.samples} samples of {imu.topic}, {imu.refused} left out')
 
     return run('replay', command)
 

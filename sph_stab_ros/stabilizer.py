@@ -14,6 +14,7 @@ as ``image_transport`` says, where ``level`` is ``imu`` to ``imu`` (sensor_msgs/
 view to what steers it, see ``ros.views``.
 
 Publishes ``orientation`` (geometry_msgs/QuaternionStamped, ``R_world_camera``),
+``virtual_orientation`` (geometry_msgs/QuaternionStamped, ``R_world_virtual``),
 ``orientation_covariance`` (geometry_msgs/PoseWithCovarianceStamped) where the tracker knows it,
 ``stabilized/image`` and, for each of the ``views``, ``view/image``, both with ``/compressed``,
 and ``view/camera_info``, ``/tf``, all with the image's stamp and only what somebody subscribes
@@ -51,13 +52,13 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
-from sph_stab_ros.images.jpeg_frame import frame_from_message
+from sph_stab_ros.images.frame import frame_from_message
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.ros.outputs import Outputs
-from sph_stab_ros.ros.parameters import declare_parameters, undeclared_overrides
+from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
 from sph_stab_ros.stabilization.pipeline import Stabilizer
@@ -153,7 +154,7 @@ class StabilizerNode(Node):
 
     def _check_parameters(self, parameters):
         try:
-            self._accepted_settings = self._settings.changed(parameters)
+            self._accepted_settings = changed(self._settings, parameters)
         except (ConfigError, MaskError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -193,14 +194,21 @@ class StabilizerNode(Node):
             self._take_over_what_is_wanted()
             self._start_anew_where_time_went_back(frame.stamp_ns)
             stabilized = self._stabilizer.process(frame)
-        looks = self._outputs.publish_orientation(stabilized, msg.header)
+        pictures = self._outputs.publish_orientation(stabilized)
         self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
-        self._drawing.put(stabilized, msg.header.stamp, looks, received_s)
-        with cpu.stage('track'):
-            self._stabilizer.settle()
+        self._drawing.put(pictures, received_s)
+        self._settle()
 
-    def _draw(self, stabilized, stamp, looks, received_s):
-        self._outputs.publish_pictures(stabilized, stamp, looks)
+    def _settle(self):
+        """Do what the orientation has not waited for; the image was used whatever comes of it."""
+        try:
+            with self._diagnostics.cpu.stage('track'):
+                self._stabilizer.settle()
+        except Exception as error:
+            self._diagnostics.event('keyframe_failed', f'a keyframe was given up: {error!r}')
+
+    def _draw(self, pictures, received_s):
+        self._outputs.publish(pictures)
         self._diagnostics.count_latency(monotonic() - received_s)
 
     def _take_over_what_is_wanted(self):

@@ -16,10 +16,10 @@ from dual_fisheye_frames import fisheye_picture, fisheye_pixels
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.calibrate import main
+from sph_stab_ros.calibrate import arguments, main
 from sph_stab_ros.calibration.dual_fisheye import calibrate, CalibrationError, for_size
 from sph_stab_ros.calibration.file import calibration_text, read_calibration, THETA_S
-from sph_stab_ros.config import ConfigError, FisheyeConfig
+from sph_stab_ros.config import ConfigError, FisheyeConfig, settings_of
 from sph_stab_ros.geometry.fisheye import dual_fisheye
 from sph_stab_ros.replay import main as replay
 from tiny_recordings import write_bag
@@ -32,6 +32,11 @@ TRUE = replace(
     rear=replace(START.rear, center_u_px=957., center_v_px=321., radius_px=282.5,
                  yaw_deg=180.7, pitch_deg=-0.5, roll_deg=-91.2))
 PICTURES = 8
+
+
+def config_in(path):
+    """Return the FisheyeConfig of the calibration in a file."""
+    return settings_of(read_calibration(path)).config.fisheye
 
 
 def noisy_sphere(seed):
@@ -145,33 +150,39 @@ def test_what_cannot_be_calibrated_is_refused(greys, fault):
 
 def test_a_calibration_is_the_same_when_read_again(tmp_path):
     (tmp_path / 'a.yaml').write_text(calibration_text(TRUE, '# About.\n'))
-    assert read_calibration(tmp_path / 'a.yaml') == TRUE
+    assert config_in(tmp_path / 'a.yaml') == TRUE
+    # The node's own way of reading it, and the shorthand.
+    for flag in ('--params-file', '--calibration'):
+        _, settings = arguments(['rec', '--out', 'out.yaml', flag, str(tmp_path / 'a.yaml')])
+        assert settings.config.fisheye == TRUE
+        assert settings.config.projection == 'dual_fisheye'
 
 
 def test_the_package_has_the_calibration_of_a_theta_s():
     path = ROOT / 'config' / 'theta_s.yaml'
     assert path.read_text() == calibration_text(FisheyeConfig(), THETA_S), (
         'run: python3 -m sph_stab_ros.calibration.file > config/theta_s.yaml')
-    assert read_calibration(path) == FisheyeConfig()
-    assert read_calibration(ROOT / 'config' / 'stabilizer.yaml') == FisheyeConfig()
+    assert config_in(path) == FisheyeConfig()
+    assert config_in(ROOT / 'config' / 'stabilizer.yaml') == FisheyeConfig()
 
 
 @pytest.mark.parametrize('text, reason', (
-    ('', 'has no parameters'), ('- 1', 'has no parameters'), ('{', 'not a YAML'),
-    ('/**: {ros__parameters: {flow: dis}}', 'has no parameters'),
-    ('/**: {ros__parameters: 3}', 'has no parameters'),
-    ('/**: {ros__parameters: {fisheye: {front: {k9: 1.0}}}}', "no option 'k9'"),
-    ('/**: {ros__parameters: {fisheye: {front.k1: wide}}}', 'k1 is a float'),
-    ('/**: {ros__parameters: {fisheye: {front: 1.0}}}', "no option 'front'"),
-    ('/**: {ros__parameters: {fisheye: {fov_deg: 100}}}', 'must lie within'),
+    ('', 'has no parameters'), ('- 1', 'no ros__parameters'), ('{', 'not YAML in line 1'),
+    ('/**: {ros__parameters: {flow: dis}}', r'has no parameters fisheye\.\*'),
+    ('/**: {ros__parameters: 3}', r'ros__parameters of /\*\* have no names'),
+    ('camera: {ros__parameters: {fisheye: {fov_deg: 200}}}', 'no parameters of the stabilizer'),
+    ('/**: {ros__parameters: {fisheye: {front: {k9: 1.0}}}}', "no parameter 'fisheye.front.k9'"),
+    ('/**: {ros__parameters: {fisheye: {front.k1: wide}}}', 'fisheye.front.k1 is a float'),
+    ('/**: {ros__parameters: {fisheye: {front: 1.0}}}', "no parameter 'fisheye.front'"),
+    ('/**: {ros__parameters: {fisheye: {fov_deg: 100}}}', 'fisheye.fov_deg must lie within'),
 ))
 def test_a_faulty_file_is_refused_with_the_reason(tmp_path, text, reason):
     (tmp_path / 'a.yaml').write_text(text)
     with pytest.raises(ConfigError, match=reason) as error:
-        read_calibration(tmp_path / 'a.yaml')
+        config_in(tmp_path / 'a.yaml')
     assert str(tmp_path) in str(error.value) and '\n' not in str(error.value)
     with pytest.raises(ConfigError, match='No such file'):
-        read_calibration(tmp_path / 'b.yaml')
+        config_in(tmp_path / 'b.yaml')
 
 
 @pytest.fixture(scope='module')
@@ -185,7 +196,7 @@ def test_the_command_writes_what_the_node_and_replay_read(bag, tmp_path, capsys)
     assert main([str(bag), '--out', str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert 'before' in lines[1] and 'after' in lines[2]
-    found = read_calibration(out)
+    found = config_in(out)
     assert found.rear.roll_deg == pytest.approx(TRUE.rear.roll_deg, abs=0.1)
     assert all(f'# {line}' in out.read_text() for line in lines)
     assert replay([str(bag), '--calibration', str(out), '--trajectory', str(trajectory)]) == 0

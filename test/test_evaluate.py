@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.evaluate import main
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.geometry.trajectory import read_tum, Trajectory
 from sph_stab_ros.geometry.warp import rotate_equirect
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
@@ -115,6 +116,27 @@ def test_one_command_evaluates_a_bag_of_unknown_mount_and_clock(bag, tmp_path, c
     assert [file.name for file in tmp_path.iterdir()] == ['figures.json']
 
 
+def test_trajectories_for_other_tools_tell_the_same_errors(bag, tmp_path):
+    file, folder = tmp_path / 'figures.json', tmp_path / 'tum'
+    assert main([str(bag), '--estimators', 'anchored,moment', '--flows', 'dis',
+                 '--clock-offset', '0.4', '--max-frames', '20', '--working-width', '128',
+                 '--json', str(file), '--tum', str(folder)]) == 0
+    assert {one.name for one in folder.iterdir()} == {
+        'truth.tum', 'anchored.tum', 'moment_dis.tum'}
+    truth = read_tum(folder / 'truth.tum')
+    stamps_ns = [ns(number / 15) for number in range(20)]
+    assert truth.stamps_ns == pytest.approx(stamps_ns, abs=1)
+    # What the bag was made of, through its mount, its clock and its interpolation.
+    R_first_camera = Trajectory(stamps_ns, orientation(np.arange(20) / 15)).relative_to_first()
+    assert np.rad2deg((truth.rotations.inv() * R_first_camera.rotations).magnitude()).max() < 0.5
+    for name, figures in json.loads(file.read_text())['estimators'].items():
+        estimate = read_tum(folder / f'{name.replace("/", "_")}.tum')
+        assert np.array_equal(estimate.stamps_ns, truth.stamps_ns)
+        errors_deg = np.rad2deg((truth.rotations.inv() * estimate.rotations).magnitude())
+        assert errors_deg.mean() == pytest.approx(figures['geodesic_deg']['mean'], abs=1e-5)
+        assert errors_deg.max() == pytest.approx(figures['geodesic_deg']['max'], abs=1e-5)
+
+
 def test_every_estimator_with_every_flow(bag, tmp_path):
     file = tmp_path / 'figures.json'
     assert main([str(bag), '--estimators', 'pts,moment,pts_epipolar', '--flows', 'farneback,dis',
@@ -165,12 +187,16 @@ def test_black_frames_are_counted_as_lost(tmp_path):
     (['--clock-offset', 'soon'], 'neither auto nor'),
     (['--clock-offset', 'nan'], 'neither auto nor'),
     (['--inject', '1', '--truth', '/a'], 'needs no --truth'),
+    (['--inject', '1', '--tum', 'a'], 'needs no --truth'),
+    (['--tum', 'nowhere/a'], "no folder 'nowhere'"),
     (['--inject', '1', '--body', 'lat:5'], '--body: mask'),
     (['--body', 'lat:-90,-60'], '--body needs --inject'),
     (['--every', '0'], '--every needs'),
     (['--every', 'nan'], '--every needs'),
     (['--max-frames', '0'], 'at least 1'),
     (['--mask', 'lat:5'], 'lat:FROM,TO'),
+    (['--inject', '1', '-p', 'level:=imu'], 'add -p level:=first_frame'),
+    (['-p', 'level:=moon'], '-p: level is one of first_frame, imu'),
     (['--json', '/no/such/folder/a.json'], 'no folder'),
 ])
 def test_wrong_calls_exit_with_2(bag, capsys, argv, said):
@@ -182,6 +208,7 @@ def test_wrong_calls_exit_with_2(bag, capsys, argv, said):
     (['--truth', '/theta/image_raw/compressed'], 'truth is one of'),
     (['--truth', '/nothing'], 'no topic /nothing'),
     (['--clock-offset', '3600'], 'do not overlap'),
+    (['-p', 'level:=imu'], 'no IMU to level by'),
     (['--clock-offset', 'auto', '--max-frames', '1'], '1 frames are too few'),
 ])
 def test_failures_exit_with_1(bag, capsys, argv, said):

@@ -134,6 +134,56 @@ def test_replay_of_bags_needs_no_optional_module():
     subprocess.run([sys.executable, '-c', code], cwd=ROOT, check=True, timeout=60)
 
 
+# Finds none of the modules named before the program, then runs it as __main__.
+WITHOUT_MODULES = """
+import runpy
+import sys
+
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition('.')[0] in missing:
+            raise ModuleNotFoundError(f'{name} is blocked', name=name)
+
+
+missing, program = sys.argv[1].split(','), sys.argv[2]
+del sys.argv[:2]
+sys.meta_path.insert(0, Missing())
+runpy.run_module(program, run_name='__main__', alter_sys=True)
+"""
+# Of recordings, tables, plots and the page.
+NOT_FOR_THE_NODE = {'aiohttp', 'av', 'lz4', 'matplotlib', 'rosbags', 'ruamel', 'tqdm'}
+
+
+def without_modules(missing, program, *arguments):
+    """Start a program of the package's where modules are not installed."""
+    # Alone in its domain, out of the way of a robot's nodes.
+    return subprocess.Popen(
+        [sys.executable, '-c', WITHOUT_MODULES, ','.join(missing), f'{PACKAGE}.{program}',
+         *arguments], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(1 + os.getpid() % 100)})
+
+
+def test_the_node_starts_without_what_only_others_need():
+    pytest.importorskip('rclpy', reason='rclpy is not installed')
+    process = without_modules(NOT_FOR_THE_NODE, 'stabilizer')
+    killer = threading.Timer(60, process.kill)
+    killer.start()
+    first_line = process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate()
+    killer.cancel()
+    assert process.returncode == 0, first_line + output
+    assert '[stabilizer]' in first_line
+
+
+@pytest.mark.parametrize('program', ['operator', 'player'])
+def test_what_is_missing_is_missed_by_those_who_ask_for_it(program):
+    pytest.importorskip('rclpy', reason='rclpy is not installed')
+    output, _ = without_modules(NOT_FOR_THE_NODE, program, '--help').communicate(timeout=60)
+    assert output.startswith('usage: ')
+
+
 def find_colcon():
     """Return the path of colcon, of this very Python if it has one, or None."""
     beside_python = Path(sys.executable).with_name('colcon')

@@ -176,6 +176,21 @@ def test_a_loop_goes_on_in_time_until_it_is_ended(turning_bag, ending):
     assert bytes(messages[12].data) == bytes(messages[0].data)
 
 
+def test_images_are_compressed_as_the_parameters_of_the_node_say(bag_with_truth, tmp_path):
+    """Or by the shorthand, of the quality that they say."""
+    (tmp_path / 'robot.yaml').write_text(
+        'stabilizer: {ros__parameters: {image_transport: compressed, jpeg_quality: 5}}')
+    sizes = []
+    for words in (['--compressed'], ['--params-file', tmp_path / 'robot.yaml']):
+        with playing(bag_with_truth, '--rate', 5, *words,
+                     topics={'image/compressed': CompressedImage}) as heard:
+            heard.listen_to_the_end()
+        messages = heard.received['image/compressed']
+        assert len(messages) == 5
+        sizes.append(len(messages[0].data))
+    assert sizes[1] < sizes[0] / 3
+
+
 def test_now_keeps_the_intervals_and_moves_them_to_the_present(turning_bag):
     """At another rate the intervals are scaled as the playing is."""
     before_ns = time.time_ns()
@@ -201,6 +216,7 @@ def test_a_video_is_played_with_the_present_time(turning_video, turning):
 
 @pytest.mark.parametrize('args, status, message', [
     ((), 2, 'REC'),
+    (('{bag}', '-p', 'jpeg_quality:=0'), 2, 'jpeg_quality must lie within 1 and 100'),
     (('{bag}.missing',), 1, 'does not exist'),
     (('{bag}', '--topics', '/nowhere'), 1, 'no topic /nowhere'),
     *(pytest.param(*one, marks=pytest.mark.slow) for one in (

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -68,10 +69,12 @@ def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):
          '--view=90,10,0,60')
     out = open_recording(tmp_path / 'out', 'stabilized/image/compressed')
     types = {'orientation': 'geometry_msgs/msg/QuaternionStamped',
+             'virtual_orientation': 'geometry_msgs/msg/QuaternionStamped',
+             'orientation_covariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
              'stabilized/image/compressed': 'sensor_msgs/msg/CompressedImage',
              'view/image/compressed': 'sensor_msgs/msg/CompressedImage',
              'view/camera_info': 'sensor_msgs/msg/CameraInfo'}
-    assert out.topics == types
+    assert out.topics == {**types, '/tf': 'tf2_msgs/msg/TFMessage'}
     for topic in types:
         stamps_ns = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec
                      for _, m in out.messages(topic)]
@@ -85,6 +88,15 @@ def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):
     shaken, still = ([np.abs(image.astype(int) - images[0]).mean() for image in images[1:]]
                      for images in (turning[0], [frame.image for frame in out.frames()]))
     assert max(still) < min(10, max(shaken) / 3)
+
+
+def test_a_bag_of_pictures_without_a_frame_has_no_transforms_and_that_is_said(
+        turning_video, tmp_path, caplog):
+    """They would hang in the air."""
+    call(turning_video, tmp_path / 'out', '--max-frames', 3)
+    assert '/tf' not in open_recording(tmp_path / 'out', 'view/image/compressed').topics
+    record, = caplog.records
+    assert record.getMessage().startswith('no /tf in ')
 
 
 def frames_of(path):
@@ -283,6 +295,17 @@ def test_force_replaces(turning_bag, tmp_path):
         assert open_recording(tmp_path / 'out', 'view/image/compressed').frame_count == frames
         assert len(read_tum(tmp_path / 'out.tum')) == frames
     assert sorted(path.name for path in tmp_path.iterdir()) == ['out', 'out.tum']
+
+
+def test_no_more_is_decoded_than_is_shown_or_tracked(tmp_path):
+    """A trajectory takes a grey picture of what tracking takes; colour is for what is shown."""
+    bag = write_bag(tmp_path / 'bag', turning_spheres(3, width=1280)[0])
+    for out, flags in (([], cv2.IMREAD_REDUCED_GRAYSCALE_2),
+                       ([tmp_path / 'out'], cv2.IMREAD_ANYCOLOR)):
+        with mock.patch('cv2.imdecode', wraps=cv2.imdecode) as decode:
+            call(bag, *out, '--trajectory', tmp_path / 'out.tum', '--force')
+        asked = [call.args[1] & ~cv2.IMREAD_IGNORE_ORIENTATION for call in decode.mock_calls]
+        assert asked == 3 * [flags]
 
 
 def start(*args):

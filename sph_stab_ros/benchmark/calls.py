@@ -8,15 +8,19 @@
 
 """What the benchmark times: bare OpenCV calls, stages and whole pipelines, side by side."""
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, cycle, islice
 from time import perf_counter, process_time
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 
 from sph_stab_ros.benchmark.references import FIVE_POINT, FivePointChain, is_there
 from sph_stab_ros.config import ANCHORED, StabilizerConfig, TrackerConfig
+from sph_stab_ros.geometry.arrays import Grey, Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.projection import Equirect, to_grey
@@ -52,12 +56,19 @@ class Input:
     """
 
     frame: Frame
-    grey: np.ndarray
-    previous_grey: np.ndarray
-    working_grey: np.ndarray
+    grey: Grey
+    previous_grey: Grey
+    working_grey: Grey
 
 
-def inputs(images, width, anchored_width):
+# What is timed, and with it the name of the call that it is compared with.
+Call: TypeAlias = Callable[[Input], Any]
+ComparedCall: TypeAlias = tuple[str, Call]
+Figures: TypeAlias = dict[str, Any]
+Progress: TypeAlias = Callable[[Iterable[Input]], Iterable[Input]]
+
+
+def inputs(images: Sequence[Image], width: int, anchored_width: int) -> Iterator[Input]:
     """Yield an Input per consecutive pair of images; at their end they run backwards again."""
     there_and_back = cycle(chain(images, images[-2:0:-1]))
     previous_grey = None
@@ -72,13 +83,13 @@ def inputs(images, width, anchored_width):
         previous_grey = grey
 
 
-def bare_calls(width):
+def bare_calls(width: int) -> dict[str, Call]:
     """Return by name the OpenCV calls to compare with, each of an Input."""
     v, u = np.mgrid[:VIEW_SIZE_WH[1], :VIEW_SIZE_WH[0]]
     rays = perspective_rays(np.stack((u, v), axis=-1), VIEW_HFOV_RAD, *VIEW_SIZE_WH)
     sphere_map, view_map = (
-        cv2.convertMaps(*Equirect(width).pixels(*np.float32(
-            np.moveaxis(bearings @ R.as_matrix().T, -1, 0))), cv2.CV_16SC2)
+        cv2.convertMaps(*Equirect(width).pixels(*np.moveaxis(
+            bearings @ R.as_matrix().T, -1, 0).astype(np.float32)), cv2.CV_16SC2)
         for bearings, R in ((bearing_grid(width), R_TURNED), (rays, R_VIEW)))
     return {
         'copy': lambda one: one.frame.image.copy(),
@@ -88,7 +99,7 @@ def bare_calls(width):
     }
 
 
-def stage_calls(first, width):
+def stage_calls(first: Input, width: int) -> dict[str, ComparedCall]:
     """
     Return by name the stages, each of an Input, with the bare call that it is compared with.
 
@@ -97,14 +108,14 @@ def stage_calls(first, width):
     working_px = first.working_grey.shape[1]
     anchored = make_tracker(TrackerConfig(), working_px)
     fit_width = min(working_width(TrackerConfig(estimator='moment')), width)
-    greys = [to_grey(grey, fit_width) for grey in (first.previous_grey, first.grey)]
-    pairs = dense_pairs(*greys)
-    matches = features.match(*map(features.detect, greys))
-    start = pairs and fit_essential(matches)
-    if start is None:
+    previous, current = (to_grey(grey, fit_width) for grey in (first.previous_grey, first.grey))
+    pairs = dense_pairs(previous, current)
+    matches = features.match(features.detect(previous), features.detect(current))
+    start = fit_essential(matches)
+    if pairs is None or start is None:
         raise RecordingError('its first two pictures show too little to estimate a rotation from')
     jpeg = encode_jpeg(first.frame.image)
-    calls = {
+    calls: dict[str, ComparedCall] = {
         'decode JPEG': ('copy', lambda one: image_from_compressed(jpeg)),
         'grey, resize': ('copy', lambda one: to_grey(one.frame.image, working_px)),
         'flow farneback': (
@@ -132,15 +143,15 @@ def stage_calls(first, width):
     return calls
 
 
-def pipeline_calls():
+def pipeline_calls() -> dict[str, ComparedCall]:
     """Return by name whole pipelines, each of an Input, with the call that it is compared with."""
-    calls = {}
+    calls: dict[str, ComparedCall] = {}
     for estimator in (ANCHORED, *METHODS):
         for pictures in ('', ' + pictures'):
             stabilizer = Stabilizer(StabilizerConfig(TrackerConfig(estimator=estimator)))
             calls[estimator + pictures] = (
                 'cv2 remap sphere' if estimator == ANCHORED else ANCHORED + pictures,
-                lambda one, s=stabilizer, p=bool(pictures): stabilize(s, one.frame, p))
+                partial(stabilized, stabilizer, bool(pictures)))
     if is_there('poselib'):
         five_point = FivePointChain()
         calls[FIVE_POINT] = (ANCHORED, lambda one: five_point.track(
@@ -148,23 +159,24 @@ def pipeline_calls():
     return calls
 
 
-def stabilize(stabilizer, frame, pictures):
+def stabilized(stabilizer: Stabilizer, pictures: bool, one: Input) -> Any:
     """Return what a user gets: the orientation and, with ``pictures``, the sphere and a view."""
-    stabilized = stabilizer.process(frame)
+    found = stabilizer.process(one.frame)
     if not pictures:
-        return stabilized.R_world_camera
-    return (stabilized.R_world_camera, stabilized.sphere(),
-            stabilized.view(R_VIEW, VIEW_HFOV_RAD, VIEW_SIZE_WH))
+        return found.R_world_camera
+    return (found.R_world_camera, found.sphere(),
+            found.view(R_VIEW, VIEW_HFOV_RAD, VIEW_SIZE_WH))
 
 
-def medians(calls, rounds, progress=iter):
+def medians(calls: Mapping[str, Call], rounds: Iterable[Input],
+            progress: Progress = iter) -> dict[str, Figures]:
     """
     Return by name the median milliseconds of calls, ``{wall_ms, cpu_ms, repeats}``.
 
     Each of the ``rounds`` is an Input that every call gets in turn; the first warms up. CPU time
     is that of all threads: more than wall time where OpenCV uses several cores.
     """
-    samples = {name: [] for name in calls}
+    samples: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
     spent_s = dict.fromkeys(calls, 0.)
     for one in progress(rounds):
         for name, call in calls.items():
@@ -184,7 +196,8 @@ def medians(calls, rounds, progress=iter):
     return figures
 
 
-def benchmark_width(images, width, repeats, progress=iter):
+def benchmark_width(images: Sequence[Image], width: int, repeats: int,
+                    progress: Progress = iter) -> dict[str, dict[str, Figures]]:
     """Return the figures of one width by group: ``bare``, ``stages`` and ``pipelines``."""
     anchored_width = min(working_width(TrackerConfig()), width)
     rounds = inputs(images, width, anchored_width)
@@ -196,14 +209,14 @@ def benchmark_width(images, width, repeats, progress=iter):
         calls |= {name: call for name, (_, call) in group.items()}
     taken = medians(calls, islice(chain((first,), rounds), repeats + 1), progress)
     figures = {'bare': {name: taken[name] for name in bare_names}}
-    for group, members in groups.items():
-        figures[group] = {
+    for title, members in groups.items():
+        figures[title] = {
             name: taken[name] | compared(taken[name], base, taken[base])
             for name, (base, _) in members.items()}
     return figures
 
 
-def compared(figures, base, base_figures):
+def compared(figures: Figures, base: str, base_figures: Figures) -> Figures:
     """Return the name of the base, and how many times its wall and CPU time was taken."""
     return {'base': base, 'ratio': figures['wall_ms'] / base_figures['wall_ms'],
             'cpu_ratio': figures['cpu_ms'] / base_figures['cpu_ms']}

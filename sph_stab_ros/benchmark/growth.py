@@ -8,16 +8,19 @@
 
 """What the anchored tracker takes as a recording becomes longer: time per frame and memory."""
 
+from collections.abc import Callable, Iterable, Sequence
 from itertools import chain, cycle, islice
 import os
 from pathlib import Path
 import resource
 import sys
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
 from sph_stab_ros.config import TrackerConfig
+from sph_stab_ros.geometry.arrays import Grey
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.tracking import make_tracker, TrackingStatus
 
@@ -26,17 +29,18 @@ MAX_PICTURES = 500
 PERIOD_NS = NS_PER_S // 30
 
 
-def growth(spheres, frames, progress=iter):
+def growth(spheres: Sequence[Grey], frames: int,
+           progress: Callable[[Iterable[int]], Iterable[int]] = iter) -> dict[str, Any]:
     """
     Return what the first and the last tenth of so many frames took, by name.
 
     Parameters
     ----------
-    spheres : sequence of np.ndarray
-        Grey ones (H, W) uint8 of one size, at least two; played there and back over and over.
-    frames : int
+    spheres
+        Of one size, at least two; played there and back over and over.
+    frames
         At least ten. Memory is taken after the first tenth, in which the tracker warms up.
-    progress : callable
+    progress
         Passes on the iterator of frame numbers that it is given.
 
     """
@@ -58,11 +62,11 @@ def growth(spheres, frames, progress=iter):
                        'memory_mb': memory_mb(), **_kept(tracker)}}
 
 
-def _kept(tracker):
+def _kept(tracker: Any) -> dict[str, int]:
     return {'keyframes': int(tracker.keyframes_kept), 'landmarks': int(tracker.landmarks_kept)}
 
 
-def memory_mb():
+def memory_mb() -> float:
     """Return the memory that the process holds now; where no one tells, the most it ever held."""
     statm = Path('/proc/self/statm')
     if statm.exists():

@@ -11,6 +11,7 @@
 import os
 from pathlib import Path
 import platform
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ import scipy
 MAX_WIDTH = 7680
 
 
-def machine():
+def machine() -> dict[str, Any]:
     """Return what the figures depend on besides the code."""
     model = platform.processor()
     if Path('/proc/cpuinfo').exists():

@@ -13,10 +13,12 @@ Two references, each where its library is installed: the chain of A-KAZE matches
 five-point solver, and COLMAP's structure-from-motion of equirectangular pictures, offline.
 """
 
+from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,14 +26,18 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import ANCHORED, StabilizerConfig, TrackerConfig
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import compare, evaluate_against_truth, increasing
+from sph_stab_ros.geometry.arrays import (
+    Bearings, Choice, Floats, Grey, Image, Indices, Matrix, Vector)
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.geometry.warp import view_rotation
-from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.recording import decoded_frames, Recording, RecordingError
 from sph_stab_ros.tracking.factory import FRAME_TO_FRAME_WIDTH
+from sph_stab_ros.tracking.frame_to_frame.estimators import BearingPairs
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import (
     decompose, epipolar_distance, INLIER_RAD, MIN_INLIERS)
-from sph_stab_ros.tracking.frame_to_frame.features import detect, match
+from sph_stab_ros.tracking.frame_to_frame.features import detect, Features, match
 
 FIVE_POINT = 'A-KAZE + PoseLib'
 STRUCTURE = 'COLMAP'
@@ -48,7 +54,7 @@ FACES = np.stack([view_rotation(yaw_rad, pitch_rad).inv().as_matrix() for yaw_ra
     *((quarter * np.pi / 2, 0) for quarter in range(4)), (0, np.pi / 2), (0, -np.pi / 2))])
 
 
-def is_there(module):
+def is_there(module: str) -> bool:
     """Tell whether an optional module is installed."""
     return find_spec(module) is not None
 
@@ -62,14 +68,14 @@ class FivePointChain:
     refinement takes the faces of a cube: between these two the samples are drawn and counted here.
     """
 
-    def __init__(self, seed=0):
+    def __init__(self, seed: int = 0) -> None:
         self._rng = np.random.default_rng(seed)
-        self._features = None
+        self._features: Features | None = None
         self._R_world_camera = Rotation.identity()
         self.lost = 0
 
-    def track(self, grey):
-        """Return R_world_camera of the next grey sphere (H, W) uint8; held where it is lost."""
+    def track(self, grey: Grey) -> Rotation:
+        """Return R_world_camera of the next grey sphere; held where it is lost."""
         features = detect(grey)
         if self._features is not None:
             R = relative_rotation(match(self._features, features), self._rng)
@@ -79,20 +85,21 @@ class FivePointChain:
         return self._R_world_camera
 
 
-def relative_rotation(pairs, rng):
+def relative_rotation(pairs: BearingPairs, rng: np.random.Generator) -> Rotation | None:
     """Return R_current_previous of BearingPairs with outliers, None where too few agree."""
     if len(pairs) < MIN_INLIERS:
         return None
     E, inliers = _ransac(pairs, rng)
-    if inliers.sum() < MIN_INLIERS:
+    if E is None or inliers.sum() < MIN_INLIERS:
         return None
     return _refined(pairs[inliers], *decompose(E, pairs[inliers]))
 
 
-def _ransac(pairs, rng):
+def _ransac(pairs: BearingPairs, rng: np.random.Generator) -> tuple[Matrix | None, Choice]:
     """Return the essential matrix of the best of many samples of five, and its inliers (N,)."""
     import poselib
-    best_E, best = None, np.zeros(len(pairs), bool)
+    best_E: Matrix | None = None
+    best: Choice = np.zeros(len(pairs), bool)
     samples_needed, samples = MAX_SAMPLES, 0
     while samples < samples_needed:
         chosen = rng.random((BATCH, len(pairs))).argpartition(5, axis=1)[:, :5]
@@ -111,11 +118,11 @@ def _ransac(pairs, rng):
     return best_E, best
 
 
-def _refined(pairs, R_current_previous, t_current):
+def _refined(pairs: BearingPairs, R_current_previous: Rotation, t_current: Vector) -> Rotation:
     """Return R_current_previous after PoseLib's refinement on the faces of a cube."""
     import poselib
 
-    def pose(R, t):
+    def pose(R: Matrix, t: Vector) -> Any:
         one = poselib.CameraPose()
         one.R, one.t = R, t
         return one
@@ -137,7 +144,7 @@ def _refined(pairs, R_current_previous, t_current):
     return Rotation.from_matrix(refined.R)
 
 
-def _on_faces(bearings):
+def _on_faces(bearings: Bearings) -> tuple[Indices, Floats]:
     """Return for bearings (N, 3) the face (N,) that shows each, and where in it (N, 2)."""
     in_faces = np.einsum('fij,nj->nfi', FACES, bearings)
     face = in_faces[..., 2].argmax(axis=1)
@@ -145,7 +152,7 @@ def _on_faces(bearings):
     return face, seen[:, :2] / seen[:, 2:]
 
 
-def structure_from_motion(images):
+def structure_from_motion(images: Iterable[Image]) -> tuple[Indices, Rotation]:
     """
     Return which of the images (H, W, 3) COLMAP has placed (N,), and their R_world_camera.
 
@@ -155,10 +162,10 @@ def structure_from_motion(images):
     import pycolmap
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL
     with TemporaryDirectory() as folder:
-        folder = Path(folder)
-        database, pictures, models = (folder / name for name in ('colmap.db', 'images', 'models'))
+        database, pictures, sparse = (
+            Path(folder) / name for name in ('colmap.db', 'images', 'models'))
         pictures.mkdir()
-        models.mkdir()
+        sparse.mkdir()
         for number, image in enumerate(images):
             cv2.imwrite(str(pictures / f'{number:06}.png'), image)
         pycolmap.extract_features(
@@ -167,7 +174,7 @@ def structure_from_motion(images):
         pycolmap.match_sequential(database)
         # An equirectangular camera has nothing to calibrate.
         models = pycolmap.incremental_mapping(
-            database, pictures, models, pycolmap.IncrementalPipelineOptions(
+            database, pictures, sparse, pycolmap.IncrementalPipelineOptions(
                 ba_refine_focal_length=False, ba_refine_extra_params=False,
                 extract_colors=False, multiple_models=False, random_seed=0))
         if not models:
@@ -179,7 +186,8 @@ def structure_from_motion(images):
     return np.array(numbers), Rotation.from_quat(quaternions).inv()
 
 
-def references(recording, progress=lambda name, frames: frames):
+def references(recording: Recording, progress: Callable[[str, Any], Iterable[Any]]
+               = lambda name, frames: frames) -> dict[str, Figures]:
     """
     Return by name ``{frames, lost_frames, geodesic_deg, ms_per_frame}`` against the truth.
 
@@ -190,9 +198,10 @@ def references(recording, progress=lambda name, frames: frames):
     truth = read_truth(recording, find_truth_topic(recording))
     configs = {name: StabilizerConfig(TrackerConfig(estimator=name)) for name in (ANCHORED, 'pts')}
     alignment, _, figures = evaluate_against_truth(recording, configs, truth, progress=progress)
-    frames = list(recording.frames())
+    frames = list(decoded_frames(recording))
 
-    def add(name, stamps_ns, rotations, elapsed_s, shown):
+    def add(name: str, stamps_ns: Sequence[int], rotations: Rotation, elapsed_s: float,
+            shown: int) -> None:
         errors = compare(truth, increasing(stamps_ns, rotations), alignment)
         figures[name] = errors.summary() | {
             'ms_per_frame': 1000 * elapsed_s / shown, 'lost_frames': shown - len(stamps_ns)}
@@ -207,8 +216,8 @@ def references(recording, progress=lambda name, frames: frames):
     if is_there('pycolmap'):
         some = frames[:STRUCTURE_FRAMES]
         start_s = perf_counter()
-        placed, rotations = structure_from_motion([frame.image for frame in some])
-        add(STRUCTURE, [some[number].stamp_ns for number in placed], rotations,
+        placed, R_world_placed = structure_from_motion([frame.image for frame in some])
+        add(STRUCTURE, [some[number].stamp_ns for number in placed], R_world_placed,
             perf_counter() - start_s, len(some))
         _, _, short = evaluate_against_truth(
             recording, {ANCHORED: configs[ANCHORED]}, truth, alignment.R_body_camera,

@@ -36,8 +36,8 @@ from sph_stab_ros.command_line.processes import memory_mb, running
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.output import partial_output
-from sph_stab_ros.ros.imu_input import NOT_MEASURED
 from sph_stab_ros.ros.messages import stamp_ns
+from sph_stab_ros.stabilization.imu import NOT_MEASURED
 from sph_stab_ros.stabilization.level import GRAVITY_M_S2
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger

@@ -12,15 +12,11 @@ The calibration of two fisheye lenses as a file of the node's parameters.
 ``python3 -m sph_stab_ros.calibration.file > config/theta_s.yaml`` writes the one in the package.
 """
 
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
-from sph_stab_ros.config import (
-    ConfigError, DUAL_FISHEYE, FisheyeConfig, options, StabilizerConfig, with_option)
+from sph_stab_ros.config import ConfigError, DUAL_FISHEYE, FisheyeConfig, options
+from sph_stab_ros.config.parameter_file import read_parameter_files
 
 THETA_S = """\
 # Copyright 2026 The sph_stab_ros developers
@@ -50,43 +46,17 @@ def calibration_text(config: FisheyeConfig, about: str) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def read_calibration(path: Path) -> FisheyeConfig:
+def read_calibration(path: Path) -> dict[str, tuple[str, Any]]:
     """
-    Return the FisheyeConfig in a file of ROS parameters; others in it are left out.
+    Return those parameters of a file that say what its lenses are, as read_parameter_files does.
 
-    Raises ConfigError where there is none, or a value is not allowed.
+    Others in it are left out. Raises ConfigError where there are none.
     """
-    try:
-        content = YAML(typ='safe', pure=True).load(path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"'{path}' cannot be read: "
-                          f'{getattr(error, "strerror", "not a text")}') from None
-    except YAMLError:
-        raise ConfigError(f"'{path}' is not a YAML file") from None
-    nodes = content.values() if isinstance(content, Mapping) else ()
-    values = dict(pair for node in nodes if isinstance(node, Mapping)
-                  for pair in _flat(node.get('ros__parameters'))
-                  if pair[0].startswith(GROUP))
-    if not values:
+    found = {name: given for name, given in read_parameter_files([path]).items()
+             if name.startswith(GROUP)}
+    if not found:
         raise ConfigError(f"'{path}' has no parameters {GROUP}*")
-    config = StabilizerConfig()
-    try:
-        for name, value in values.items():
-            config = with_option(config, name, value)
-    except ConfigError as error:
-        raise ConfigError(f"'{path}': {error}") from None
-    return config.fisheye
-
-
-def _flat(values: Any, prefix: str = '') -> Iterator[tuple[str, Any]]:
-    """Yield dotted names and values of nested mappings."""
-    if not isinstance(values, Mapping):
-        return
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f'{prefix}{key}.')
-        else:
-            yield f'{prefix}{key}', value
+    return {'projection': (f"'{path}'", DUAL_FISHEYE), **found}
 
 
 if __name__ == '__main__':

@@ -15,13 +15,8 @@ from pathlib import Path
 import signal
 import sys
 
-from sph_stab_ros.calibration.file import read_calibration
 from sph_stab_ros.command_line.process_setup import set_up_process
-from sph_stab_ros.config import (
-    ConfigError, DUAL_FISHEYE, EQUIRECT, options, StabilizerConfig, TrackerConfig)
-from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.tracking import working_width
 
 
 class Parser(argparse.ArgumentParser):
@@ -41,6 +36,12 @@ def add_recording(parser, name):
     parser.add_argument('--max-frames', metavar='N', type=_count, help='stop after N pictures')
 
 
+def add_imu_topic(parser):
+    """Add an argument for the IMU that ``level: imu`` needs."""
+    parser.add_argument('--imu-topic', metavar='TOPIC',
+                        help='where the IMU of "level: imu" is in a bag with several')
+
+
 def frames_to_read(recording, max_frames):
     """Return how many pictures a Recording has, ``max_frames`` at most; None if unknown."""
     return min(filter(None, (recording.frame_count, max_frames)), default=None)
@@ -51,59 +52,6 @@ def _count(text):
     if count < 1:
         raise argparse.ArgumentTypeError('must be at least 1')
     return count
-
-
-def add_tracker_options(parser, without=()):
-    """Add an argument for each option of TrackerConfig: ``--working-width`` and so on."""
-    group = parser.add_argument_group('estimator')
-    for option in options(TrackerConfig):
-        if option.name in without:
-            continue
-        group.add_argument(
-            '--' + option.name.replace('_', '-'), type=type(option.default),
-            default=option.default, choices=option.choices, metavar=_metavar(option),
-            help=f'{option.description} (default: %(default)s)')
-
-
-def add_projection_options(parser):
-    """Add arguments for what the pictures are."""
-    group = parser.add_argument_group('projection')
-    by_name = {one.name: one for one in options(StabilizerConfig)}
-    group.add_argument(
-        '--projection', choices=by_name['projection'].choices,
-        help=f'{by_name["projection"].description} (default: equirect)')
-    group.add_argument(
-        '--calibration', metavar='FILE.yaml', type=Path,
-        help='parameters fisheye.* of the lenses, as calibrate writes them; the pictures are then '
-        "dual_fisheye (default: a Theta S')")
-
-
-def projection_options(parser, args):
-    """Return the options of StabilizerConfig, by name, that parsed arguments give."""
-    if args.calibration is None:
-        return {'projection': args.projection or EQUIRECT}
-    if args.projection == EQUIRECT:
-        parser.error('--calibration is for --projection dual_fisheye')
-    try:
-        return {'projection': DUAL_FISHEYE, 'fisheye': read_calibration(args.calibration)}
-    except ConfigError as error:
-        parser.error(f'--calibration: {error}')
-
-
-def tracker_config(parser, args):
-    """Return the TrackerConfig of parsed arguments; a value it does not take is a usage error."""
-    try:
-        config = TrackerConfig(**{o.name: getattr(args, o.name) for o in options(TrackerConfig)})
-        load_mask(config.mask, working_width(config))
-    except (ConfigError, MaskError) as error:
-        parser.error(str(error))
-    return config
-
-
-def _metavar(option):
-    if option.choices:
-        return '|'.join(option.choices)
-    return {int: 'N', float: 'X', str: 'TEXT'}[type(option.default)]
 
 
 def run(name, command):

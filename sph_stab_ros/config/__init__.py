@@ -13,12 +13,14 @@ from sph_stab_ros.config.options import (
 from sph_stab_ros.config.schema import (
     ANCHORED, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW, IMU, ImuConfig,
     LensConfig, LEVELS, LOCK, METHODS, MIN_WIDTH, MODES, NODE_PARAMETERS, NodeConfig, PROJECTIONS,
-    RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW, view_parameters, ViewConfig,
-    YAW_FOLLOW)
+    RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW, VIEW_NAME, view_parameters,
+    ViewConfig, YAW_FOLLOW)
+from sph_stab_ros.config.settings import Settings, settings_of
 
 __all__ = [
-    'ANCHORED', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME', 'FisheyeConfig', 'FLOWS',
-    'FOLLOW', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS', 'LOCK', 'METHODS',
-    'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options', 'PROJECTIONS',
-    'RESERVED', 'SmoothingConfig', 'StabilizerConfig', 'TrackerConfig', 'VIEW', 'view_parameters',
-    'ViewConfig', 'with_option', 'YAW_FOLLOW']
+    'ANCHORED', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME', 'FisheyeConfig',
+    'FLOWS', 'FOLLOW', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS', 'LOCK',
+    'METHODS', 'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options',
+    'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig',
+    'TrackerConfig', 'VIEW', 'VIEW_NAME', 'view_parameters', 'ViewConfig', 'with_option',
+    'YAW_FOLLOW']

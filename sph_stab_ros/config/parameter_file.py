@@ -7,16 +7,23 @@
 # language governing permissions and limitations under the License.
 
 """
-The node's parameters and their defaults as a YAML file.
+The node's parameters as YAML files: the one with all defaults written, a robot's own read.
 
 ``python3 -m sph_stab_ros.config.parameter_file > config/stabilizer.yaml``
 writes the one in the package.
 """
 
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from textwrap import indent, wrap
 from typing import Any
 
-from sph_stab_ros.config import NODE_PARAMETERS, Option
+from sph_stab_ros.config.options import ConfigError, Option
+from sph_stab_ros.config.ros_yaml import parse_yaml
+from sph_stab_ros.config.schema import NODE_PARAMETERS
+
+NODE = 'stabilizer'
+PARAMETERS = 'ros__parameters'
 
 HEADER = """\
 # Copyright 2026 The sph_stab_ros developers
@@ -60,6 +67,63 @@ def _allowed(option: Option) -> str:
     if option.choices:
         return ': ' + ', '.join(option.choices)
     return '' if option.minimum is None else f': {option.minimum:g} to {option.maximum:g}'
+
+
+def read_parameter_files(paths: Iterable[Path]) -> dict[str, tuple[str, Any]]:
+    """
+    Return the node's parameters in files by their dotted names: the file, and the value.
+
+    They are merged as ROS does it: node by node, in the order in which the files name them first.
+    Of one node's parameters the last counts, and those of nodes named later win, whether by a
+    wildcard or not. Raises ConfigError for a file that cannot be read or has nothing for the node.
+    """
+    nodes: dict[str, dict[str, tuple[str, Any]]] = {}
+    for path in paths:
+        for node, parameters in _own(path):
+            nodes.setdefault(node, {}).update(
+                (name, (f"'{path}'", value)) for name, value in _flat(parameters))
+    return {name: found for parameters in nodes.values() for name, found in parameters.items()}
+
+
+def _own(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Return the sections of a file that are for the node: names and mappings."""
+    try:
+        content = parse_yaml(path.read_text())
+        sections = [(name, parameters) for name, parameters in _sections(content or {})
+                    if name.rpartition('/')[-1] in (NODE, '*', '**')]
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"'{path}' cannot be read: "
+                          f'{getattr(error, "strerror", "not a text")}') from None
+    except ConfigError as error:
+        raise ConfigError(f"'{path}': {error}") from None
+    if not sections:
+        raise ConfigError(f"'{path}' has no parameters of the {NODE}")
+    named = {'/' + name.lstrip('/') for name, _ in sections if '*' not in name}
+    if len(named) > 1:
+        raise ConfigError(f"'{path}' has parameters of several nodes: {', '.join(sorted(named))}")
+    return sections
+
+
+def _sections(content: Any, name: str = '') -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield full names of nodes and the mappings of their parameters."""
+    if not isinstance(content, dict):
+        raise ConfigError(f'{name} has no {PARAMETERS}' if name else f'no {PARAMETERS}')
+    for key, value in content.items():
+        if key != PARAMETERS:
+            yield from _sections(value, f'{name}/{key}' if name else key)
+        elif isinstance(value, dict):
+            yield name, value
+        else:
+            raise ConfigError(f'{PARAMETERS} of {name} have no names')
+
+
+def _flat(values: dict[str, Any], prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield dotted names and values of nested mappings."""
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}', value
 
 
 if __name__ == '__main__':

@@ -8,7 +8,7 @@
 
 """Every option of the algorithm and of the ROS node around it."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 import re
 
 from sph_stab_ros.config.options import Checked, ConfigError, Option, option, options
@@ -29,7 +29,8 @@ MODES = (LOCK, FOLLOW, YAW_FOLLOW)
 VIEW = 'view'
 VIEW_NAME = '[A-Za-z]([A-Za-z0-9]|_(?!_))*'
 # Roots of topics and of rclpy's own parameters.
-RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized')
+RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized',
+            'virtual_orientation')
 EQUIRECT = 'equirect'
 DUAL_FISHEYE = 'dual_fisheye'
 PROJECTIONS = (EQUIRECT, DUAL_FISHEYE)
@@ -213,16 +214,20 @@ class NodeConfig(StabilizerConfig):
             raise ConfigError('views are one or more different names')
         for name in self.views:
             # Topics and parameters begin with it.
-            if not re.fullmatch(VIEW_NAME, str(name)):
+            if not isinstance(name, str) or not re.fullmatch(VIEW_NAME, name):
                 raise ConfigError(f"'{name}' cannot be a view: letters, digits and _ make a name")
             if name != VIEW and name in {*RESERVED, *(one.name for one in fields(self))}:
                 raise ConfigError(f"'{name}' cannot be a view: something else has that name")
 
 
+def default_view(name: str) -> ViewConfig:
+    """Return the ViewConfig that the view of a name has by default."""
+    return ViewConfig(frame_id=f'{name}_optical')
+
+
 def view_parameters(name: str) -> dict[str, Option]:
     """Return the parameters of the view of a name: their names and Options of ViewConfig."""
-    return {f'{name}.{one.name}': replace(one, default=f'{name}_optical')
-            if one.name == 'frame_id' else one for one in options(ViewConfig)}
+    return {f'{name}.{one.name}': one for one in options(default_view(name))}
 
 
 # The node's parameters by name. The tracker's have no prefix, as on the command lines.

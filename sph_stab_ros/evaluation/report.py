@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 from sph_stab_ros.evaluation.alignment import Alignment
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
 
 # Figures by name, as they are written to JSON.
 Figures: TypeAlias = dict[str, Any]
@@ -67,7 +67,7 @@ def _in_columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
 
 def describe(alignment: Alignment, mount_given: bool) -> Figures:
     """Return the Alignment as figures; the mount's angles as ``--mount`` takes them."""
-    yaw, pitch, roll = (R_BODY_CAMERA.inv() * alignment.R_body_camera).as_euler(
+    yaw, pitch, roll = (R_CAMERA_BODY * alignment.R_body_camera).as_euler(
         'YXZ', degrees=True).tolist()
     return {
         'mount': {

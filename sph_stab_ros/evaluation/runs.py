@@ -29,11 +29,13 @@ from sph_stab_ros.evaluation.alignment import (
 from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabilizer
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vectors
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
+from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA, R_CAMERA_BODY
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording
+from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
+from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 from sph_stab_ros.tracking import TrackingStatus
 
@@ -46,12 +48,15 @@ class Errors:
     """
     Errors of N orientations over time, each relative to the first.
 
+    ``truth`` and ``estimate`` are the Trajectories of R_first_camera, with the images' stamps;
     ``time_s`` (N,) starts at zero; ``truth_rpy_deg`` and ``estimate_rpy_deg`` (N, 3) are roll,
     pitch and yaw, without jumps; ``geodesic_deg`` (N,) is the angle of the rotation between truth
     and estimate; ``per_frame_deg`` (≤ N − 1,) that between their turns from one frame to the next;
     ``drift_deg_per_min`` the constant angular velocity that fits the error best.
     """
 
+    truth: Trajectory
+    estimate: Trajectory
     time_s: Values
     truth_rpy_deg: Vectors
     estimate_rpy_deg: Vectors
@@ -108,7 +113,8 @@ def compare(truth: Trajectory, estimate: Trajectory, alignment: Alignment) -> Er
     consecutive = np.diff(np.flatnonzero(known)) == 1
     if not consecutive.any():
         raise EvaluationError('no two consecutive frames have truth')
-    return errors(stamps_ns[known], R_mocap_camera, estimate.rotations[known], consecutive)
+    return errors(
+        estimate.stamps_ns[known], R_mocap_camera, estimate.rotations[known], consecutive)
 
 
 def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation,
@@ -119,14 +125,14 @@ def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation
     ``consecutive`` (N − 1,) bool tells which neighbours are consecutive frames.
     """
     time_s = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    true, estimated = (
-        R_BODY_CAMERA * (R[0].inv() * R) * R_BODY_CAMERA.inv()
-        for R in (R_mocap_camera, R_world_camera))
+    truth, estimate = (Trajectory(stamps_ns, R).relative_to_first()
+                       for R in (R_mocap_camera, R_world_camera))
+    true, estimated = (R_BODY_CAMERA * one.rotations * R_CAMERA_BODY for one in (truth, estimate))
     error = (estimated * true.inv()).as_rotvec(degrees=True)
     true_turns, estimated_turns = (R[:-1].inv() * R[1:] for R in (true, estimated))
     per_frame_rad = (true_turns.inv() * estimated_turns).magnitude()[consecutive]
     return Errors(
-        time_s, _roll_pitch_yaw_deg(true), _roll_pitch_yaw_deg(estimated),
+        truth, estimate, time_s, _roll_pitch_yaw_deg(true), _roll_pitch_yaw_deg(estimated),
         np.linalg.norm(error, axis=1), np.rad2deg(per_frame_rad),
         # Least squares of error(t) = drift · t, in the world, where a bias of the estimator adds
         # up.
@@ -148,8 +154,14 @@ class Run:
         self._times_s: list[float] = []
         self._lost = 0
 
+    def add_imu(self, sample: ImuSample) -> None:
+        """Take in an ImuSample."""
+        self._stabilizer.add_imu(sample)
+
     def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of a Frame."""
+        # Which is not the estimator's work.
+        frame.load()
         start_s = perf_counter()
         stabilized = self._stabilizer.process(frame)
         self._times_s.append(perf_counter() - start_s)
@@ -182,10 +194,13 @@ class Run:
 def evaluate_against_truth(
         recording: Recording, configs: Mapping[str, StabilizerConfig], truth: Trajectory,
         R_body_camera: Rotation | None = None, clock_offset_ns: int | None = 0,
-        max_frames: int | None = None, progress: Progress = lambda name, frames: frames
+        max_frames: int | None = None, progress: Progress = lambda name, frames: frames,
+        imu_topic: str | None = None
         ) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
+
+    Each is fed the samples of an IMU where ``imu_topic`` names one.
 
     Mount and clock offset, where they are None, are those that the estimator gives which follows
     the truth best: they belong to the recording, and a bad estimator must neither suffer from nor
@@ -195,7 +210,8 @@ def evaluate_against_truth(
     for name, config in configs.items():
         runs[name] = Run(config)
         stabilize_recording(recording, runs[name], max_frames=max_frames,
-                            progress=lambda frames: progress(name, frames))
+                            progress=lambda frames: progress(name, frames),
+                            imu=RecordedImu(recording, imu_topic) if imu_topic else None)
     found, failures = [], []
     for run in runs.values():
         try:

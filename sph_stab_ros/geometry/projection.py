@@ -111,12 +111,12 @@ class Equirect:
         return to_grey(frame.at_least(width), width)
 
 
-def to_grey(image: Image, width: int) -> Grey:
-    """Return the sphere (H, W[, 3]), BGR or grey, as a grey one (width / 2, width)."""
+def to_grey(image: Image, width: int | None = None) -> Grey:
+    """Return the picture (H, W[, 3]), BGR or grey, as a grey one; a sphere at another width."""
     # Grey first: one channel is reduced in a third of the time of three.
     if image.ndim == 3:
         image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    if image.shape[1] != width:
+    if width and image.shape[1] != width:
         image = cv2.resize(image, (width, width // 2), interpolation=cv2.INTER_AREA)
     return image
 

@@ -76,6 +76,12 @@ def tum_line(stamp_ns: int, rotation: Rotation) -> str:
     return f'{sign}{seconds}.{nanoseconds:09d} 0 0 0 {x:.9f} {y:.9f} {z:.9f} {w:.9f}\n'
 
 
+def write_tum(path: str | Path, trajectory: Trajectory) -> None:
+    """Write a Trajectory as a TUM file; its positions are zero."""
+    Path(path).write_text(
+        ''.join(map(tum_line, trajectory.stamps_ns, trajectory.rotations)))
+
+
 def read_tum(path: str | Path) -> Trajectory:
     """
     Return the Trajectory of a TUM file; ValueError with the line's number where it is not one.

@@ -13,6 +13,8 @@ Messages are used by their field names only, so that those of rclpy and those of
 both work.
 """
 
+from array import array
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -118,20 +120,37 @@ def encoding_of(image: Image) -> str:
     return 'mono8' if image.ndim == 2 else 'bgr8'
 
 
+def image_fields(image: Image) -> dict[str, Any]:
+    """Return the fields of the Image message of ``image``, BGR or grey, but for its header."""
+    height, width = image.shape[:2]
+    return {'height': height, 'width': width, 'encoding': encoding_of(image), 'is_bigendian': 0,
+            'step': image.size // height, 'data': np.ascontiguousarray(image).ravel()}
+
+
+def compressed_fields(image: Image, quality: int = JPEG_QUALITY) -> dict[str, Any]:
+    """Return the fields of the CompressedImage message of ``image`` but for its header."""
+    return {'format': jpeg_format(image), 'data': encode_jpeg(image, quality)}
+
+
 def fill_image(msg: Any, image: Image) -> Any:
     """Fill a fresh rclpy Image message with ``image``, BGR or grey, and return it."""
-    msg.height, msg.width = image.shape[:2]
-    msg.encoding = encoding_of(image)
-    msg.step = image.shape[1] * (image.size // (image.shape[0] * image.shape[1]))
-    # Assigning an array to msg.data checks each byte: 1000 ms against 0.4 ms for 5.5 MB.
-    msg.data.frombytes(np.ascontiguousarray(image).data)
-    return msg
+    return fill_message(msg, image_fields(image))
 
 
 def fill_compressed(msg: Any, image: Image, quality: int = JPEG_QUALITY) -> Any:
     """Fill a fresh rclpy CompressedImage message with ``image`` as JPEG and return it."""
-    msg.format = jpeg_format(image)
-    msg.data.frombytes(encode_jpeg(image, quality).data)
+    return fill_message(msg, compressed_fields(image, quality))
+
+
+def fill_message(msg: Any, fields: Mapping[str, Any]) -> Any:
+    """Fill a fresh rclpy message with values and arrays by the names of its fields; return it."""
+    for name, value in fields.items():
+        sequence = getattr(msg, name)
+        if isinstance(sequence, array):
+            # Assigning to it checks each element: 1000 ms against 0.4 ms for 5.5 MB of image.
+            sequence.frombytes(value.data.cast('B'))
+        else:
+            setattr(msg, name, value)
     return msg
 
 

@@ -9,8 +9,9 @@
 """
 Serve the operator's page: look around in the stabilised view with a browser.
 
-Subscribes to ``image/compressed`` or ``image``, ``orientation`` and ``/diagnostics``, publishes
-``view/direction`` and calls the services of the stabilizer node. Ends on SIGINT and SIGTERM.
+Subscribes to ``image/compressed`` or ``image``, ``orientation``, ``virtual_orientation`` and
+``/diagnostics``, publishes ``view/direction`` and calls the services of the stabilizer node. Ends
+on SIGINT and SIGTERM.
 """
 
 import asyncio

@@ -9,7 +9,7 @@
 """Pair pictures by stamp with their orientations, which come later and on another topic."""
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from threading import Lock
 from time import monotonic
 
@@ -44,6 +44,35 @@ class Picture:
     received_s: float
     orientation: Orientation | None = None
     derotated: bool = False
+
+
+class StampedOrientations:
+    """
+    Puts the two orientations of a picture together, which come on a topic each.
+
+    Parameters
+    ----------
+    emit : callable
+        Takes stamp and Orientation.
+
+    """
+
+    def __init__(self, emit):
+        self._emit = emit
+        self._halves = {}
+
+    def add(self, stamp_ns, **half):
+        """Take in one of an Orientation's values; emit the Orientation if it was the last one."""
+        known = self._halves.setdefault(stamp_ns, {})
+        known.update(half)
+        if len(known) == len(fields(Orientation)):
+            # Each topic keeps its order: what came before and is alone will stay alone.
+            while next(iter(self._halves)) != stamp_ns:
+                del self._halves[next(iter(self._halves))]
+            del self._halves[stamp_ns]
+            self._emit(stamp_ns, Orientation(**known))
+        elif len(self._halves) > MAX_WAITING:
+            del self._halves[next(iter(self._halves))]
 
 
 class Pairing:

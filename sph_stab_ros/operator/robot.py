@@ -16,6 +16,7 @@ images are encoded as JPEG. Without a browser no images are subscribed to.
 
 import asyncio
 from dataclasses import dataclass
+from functools import partial
 from time import monotonic
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -25,15 +26,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.task import Future
-from sph_stab_ros.config import ConfigError, MODES, SmoothingConfig
+from sph_stab_ros.config import MODES
 from sph_stab_ros.images.codec import encode_jpeg, image_from_message, ImageError
-from sph_stab_ros.operator.pairing import Orientation, Pairing, Picture
+from sph_stab_ros.operator.pairing import Pairing, Picture, StampedOrientations
 from sph_stab_ros.operator.server import RobotError
 from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.image_topics import compressed_topic, subscribe_to_images
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
 from sph_stab_ros.ros.worker import Worker
-from sph_stab_ros.stabilization.smoothing import Smoother
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -45,7 +45,7 @@ ANSWER_S = 3.0
 QUESTION_PERIOD_S = 1.0
 JPEG_QUALITY = 85
 PICTURES = {'camera': 'image', 'stabilizer': 'stabilized/image'}
-MODE, TIME_CONSTANT = 'smoothing.mode', 'smoothing.time_constant_s'
+MODE = 'smoothing.mode'
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,11 @@ class Robot(Node):
         self._frame_id = ''
         self._image_s = self._diagnostics_s = float('-inf')
         self._status, self._status_values = DiagnosticStatus(), {}
-        # The node tells the virtual camera on /tf only, which not everybody has; the same
-        # smoothing of the same orientations gives the same.
-        self._smoothing, self._smoother = SmoothingConfig(), Smoother()
-        self._last_stamp_ns = 0
+        self._mode = ''
         self._question, self._next_question_s = Future(), 0.
         self._log = ThrottledLog(self.get_logger().warning)
         self._pairing = Pairing(show)
+        self._orientations = StampedOrientations(self._pairing.add_orientation)
         self._encoding = Worker('encoding', self._encode)
         self._encoding.start()
 
@@ -110,7 +108,10 @@ class Robot(Node):
             f"{self.get_namespace().rstrip('/')}/{stabilizer}"
         self._status_name = f'{name}: stabilization'
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
-        self.create_subscription(QuaternionStamped, 'orientation', self._on_orientation, 10)
+        for topic, name in (('orientation', 'R_world_camera'),
+                            ('virtual_orientation', 'R_world_virtual')):
+            self.create_subscription(
+                QuaternionStamped, topic, partial(self._on_orientation, name), 10)
         self.create_timer(CHECK_PERIOD_S, self._check,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -134,7 +135,7 @@ class Robot(Node):
             rate_hz=values.get('rate_hz', ''),
             latency_ms=values.get('latency_ms', ''),
             modes=MODES if heard else (),
-            mode=self._smoothing.mode,
+            mode=self._mode if heard else '',
             can_reset=heard and self._reset.service_is_ready(),
             can_level=heard and self._level.service_is_ready())
 
@@ -152,7 +153,6 @@ class Robot(Node):
     async def reset_heading(self):
         """Make the next image's orientation the world's; return what to tell the operator."""
         await self._call(self._reset)
-        self._smoother = Smoother()
         return 'Heading reset: ahead is where the robot looks now.'
 
     async def level(self):
@@ -167,7 +167,7 @@ class Robot(Node):
             self._node_parameters.set_parameters([Parameter(MODE, value=mode)]))
         if not (answer.results and answer.results[0].successful):
             raise RobotError(sentence(answer.results[0].reason if answer.results else 'refused'))
-        self._smooth(mode, self._smoothing.time_constant_s)
+        self._mode = mode
         return f"Mode: {mode.replace('_', ' ')}."
 
     async def _call(self, client):
@@ -193,20 +193,14 @@ class Robot(Node):
 
     # In the executor's thread.
 
-    def _on_orientation(self, msg):
+    def _on_orientation(self, name, msg):
         self._frame_id = msg.header.frame_id
-        time_ns = stamp_ns(msg.header.stamp)
         try:
-            R_world_camera = rotation_from_message(msg)
+            quaternion = tuple(rotation_from_message(msg).as_quat().tolist())
         except ValueError as error:
-            self._log.warn('orientation', f'orientation ignored: {error}')
-            return
-        if time_ns < self._last_stamp_ns:
-            self._smoother.reset()
-        self._last_stamp_ns = time_ns
-        R_world_virtual = self._smoother.update(self._smoothing, time_ns, R_world_camera)
-        self._pairing.add_orientation(time_ns, Orientation(
-            tuple(R_world_camera.as_quat().tolist()), tuple(R_world_virtual.as_quat().tolist())))
+            self._log.warn(name, f'orientation ignored: {error}')
+        else:
+            self._orientations.add(stamp_ns(msg.header.stamp), **{name: quaternion})
 
     def _on_image(self, msg):
         self._image_s = monotonic()
@@ -234,21 +228,12 @@ class Robot(Node):
             self._next_question_s = monotonic() + QUESTION_PERIOD_S
             # What was asked before and not answered, by a node that is gone, will not be.
             self._question.cancel()
-            self._question = self._node_parameters.get_parameters(
-                [MODE, TIME_CONSTANT], self._on_smoothing)
+            self._question = self._node_parameters.get_parameters([MODE], self._on_mode)
 
-    def _on_smoothing(self, future):
-        """Smooth as the node does."""
-        # Empty where there are no such parameters.
-        values = [] if future.cancelled() else future.result().values
-        if len(values) == 2:
-            self._smooth(values[0].string_value, values[1].double_value)
-
-    def _smooth(self, mode, time_constant_s):
-        try:
-            self._smoothing = SmoothingConfig(mode, time_constant_s)
-        except ConfigError as error:
-            self._log.warn('smoothing', f'the stabilizer smooths otherwise: {error}')
+    def _on_mode(self, future):
+        # Empty where there is no such parameter.
+        if not future.cancelled() and (values := future.result().values):
+            self._mode = values[0].string_value
 
     def _present_transport(self):
         """Return how the camera's images are published; as files, where both are."""

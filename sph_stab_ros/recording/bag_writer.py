@@ -6,14 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Results into a rosbag2 folder, under the node's topic names."""
+"""Messages into a rosbag2 folder."""
 
-import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 
-from sph_stab_ros.geometry.warp import focal_length_px
-from sph_stab_ros.images.codec import encode_jpeg, jpeg_format
+from sph_stab_ros.recording import messages
 
 METADATA_VERSION = 9
 
@@ -51,33 +49,19 @@ class BagWriter:
         """Return the class of a message, for example of ``sensor_msgs/msg/Image``."""
         return self._types.types[name]
 
+    def make(self, type_name, **fields):
+        """Return the message of a type with these fields, as ``messages`` asks for it."""
+        return self.type(type_name)(**fields)
+
     def header(self, stamp_ns, frame_id):
         """Return a std_msgs Header."""
-        sec, nanosec = divmod(max(stamp_ns, 0), 10**9)
-        stamp = self.type('builtin_interfaces/msg/Time')(sec=sec, nanosec=nanosec)
-        return self.type('std_msgs/msg/Header')(stamp=stamp, frame_id=frame_id)
+        return messages.header(self.make, stamp_ns, frame_id)
 
     def write_orientation(self, topic, stamp_ns, frame_id, rotation):
         """Write ``R_frame_…`` as a geometry_msgs QuaternionStamped."""
-        x, y, z, w = rotation.as_quat()
-        self.write(topic, self.type('geometry_msgs/msg/QuaternionStamped')(
-            header=self.header(stamp_ns, frame_id),
-            quaternion=self.type('geometry_msgs/msg/Quaternion')(x=x, y=y, z=z, w=w)), stamp_ns)
+        self.write(topic, messages.orientation(self.make, stamp_ns, frame_id, rotation), stamp_ns)
 
     def write_jpeg(self, topic, stamp_ns, frame_id, image):
         """Write an image, BGR or grey, as a sensor_msgs CompressedImage."""
-        self.write(topic, self.type('sensor_msgs/msg/CompressedImage')(
-            header=self.header(stamp_ns, frame_id), format=jpeg_format(image),
-            data=encode_jpeg(image)), stamp_ns)
-
-    def write_camera_info(self, topic, stamp_ns, frame_id, hfov_rad, size_wh):
-        """Write the sensor_msgs CameraInfo of an ideal perspective view."""
-        width, height = size_wh
-        focal_px = focal_length_px(hfov_rad, width)
-        K = np.array(((focal_px, 0, (width - 1) / 2), (0, focal_px, (height - 1) / 2), (0, 0, 1)))
-        self.write(topic, self.type('sensor_msgs/msg/CameraInfo')(
-            header=self.header(stamp_ns, frame_id), height=height, width=width,
-            distortion_model='plumb_bob', d=np.zeros(5), k=K.ravel(), r=np.eye(3).ravel(),
-            p=np.column_stack((K, np.zeros(3))).ravel(), binning_x=0, binning_y=0,
-            roi=self.type('sensor_msgs/msg/RegionOfInterest')(
-                x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)), stamp_ns)
+        self.write(topic, messages.compressed_image(self.make, stamp_ns, frame_id, image),
+                   stamp_ns)

@@ -31,6 +31,8 @@ if sys.version_info >= (3, 14):
 else:
     from backports.zstd import ZstdDecompressor
 
+from sph_stab_ros.geometry.conventions import NS_PER_S
+
 # Decompressors that give what they can of a stream cut short.
 DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     'zstd': ZstdDecompressor, 'lz4': LZ4FrameDecompressor, 'bz2': BZ2Decompressor}
@@ -154,7 +156,7 @@ def scan_rosbag1(path: Path) -> Iterator[Message]:
                 connections[header['conn']] = header['topic'].decode(), msgtype
             elif header['op'] == ROSBAG1_MESSAGE:
                 seconds, nanoseconds = struct.unpack('<II', header['time'])
-                yield *connections[header['conn']], seconds * 10**9 + nanoseconds, data
+                yield *connections[header['conn']], seconds * NS_PER_S + nanoseconds, data
         # A recorder that dies leaves the position of the index zero.
         if not 0 < index_position < file.tell():
             raise Truncated

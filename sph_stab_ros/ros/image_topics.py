@@ -16,10 +16,7 @@ of service can be overridden by parameters (``qos_overrides.<topic>.publisher.de
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
-
-from sph_stab_ros.images.codec import fill_compressed, fill_image
-
-COMPRESSED = '/compressed'
+from sph_stab_ros.stabilization.outputs import COMPRESSED
 
 
 def subscribe_to_images(node, topic, transport, callback):
@@ -43,27 +40,6 @@ def advertise(node, msg_type, topic, depth=5):
     return node.create_publisher(
         msg_type, topic, QoSProfile(depth=depth),
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
-
-
-class ImagePublisher:
-    """Publishes images on ``topic`` and on ``topic/compressed``, as far as somebody subscribes."""
-
-    def __init__(self, node, topic):
-        self._raw = advertise(node, Image, topic)
-        self._compressed = advertise(node, CompressedImage, compressed_topic(node, topic))
-
-    @property
-    def wanted(self):
-        """Whether anybody subscribes to either topic."""
-        return is_wanted(self._raw) or is_wanted(self._compressed)
-
-    def publish(self, header, image, jpeg_quality):
-        """Publish an image (H, W[, 3]) under a Header."""
-        if is_wanted(self._raw):
-            self._raw.publish(fill_image(Image(header=header), image))
-        if is_wanted(self._compressed):
-            msg = CompressedImage(header=header)
-            self._compressed.publish(fill_compressed(msg, image, jpeg_quality))
 
 
 def is_wanted(publisher):

@@ -6,18 +6,15 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The IMU's messages on the way to the stabiliser, as REP 145 has them."""
+"""The IMU's messages on the way to the stabiliser."""
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 from sph_stab_ros.ros.image_topics import subscribe
-from sph_stab_ros.ros.messages import stamp_ns
-from sph_stab_ros.stabilization.imu import ImuError, ImuSample
+from sph_stab_ros.stabilization.imu import imu_sample, ImuError
 
 # What comes while the executor is busy otherwise.
 DEPTH = 100
-# In the first element of a covariance.
-NOT_MEASURED = -1.
 
 
 class ImuInput:
@@ -62,19 +59,3 @@ class ImuInput:
         else:
             self._diagnostics.count_imu()
             self._take(sample)
-
-
-def imu_sample(msg, received_ns):
-    """Return the ImuSample of an Imu; one without a stamp is of when it was received."""
-    force, rate = msg.linear_acceleration, msg.angular_velocity
-    if msg.linear_acceleration_covariance[0] == NOT_MEASURED:
-        force = None
-    if msg.angular_velocity_covariance[0] == NOT_MEASURED:
-        rate = None
-    if force is rate is None:
-        raise ImuError('by its covariances it measures neither force nor angular velocity')
-    return ImuSample(stamp_ns(msg.header.stamp) or received_ns, _xyz(force), _xyz(rate))
-
-
-def _xyz(vector):
-    return None if vector is None else (vector.x, vector.y, vector.z)

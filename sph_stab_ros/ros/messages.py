@@ -6,20 +6,20 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The core's values to ROS messages and back; images are in ``images.codec``."""
+"""Messages of rclpy, made of what ``recording.messages`` says, and the core's values of them."""
 
-from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion, QuaternionStamped
+from functools import cache
+from importlib import import_module
+
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.geometry.warp import focal_length_px
+from sph_stab_ros.images.codec import fill_message
 from sph_stab_ros.stabilization.steering import Rates
 
 # The same as tf2's.
 QUATERNION_TOLERANCE = 0.01
-UNKNOWN_M2 = 1e9
 
 
 def stamp_ns(stamp):
@@ -27,10 +27,22 @@ def stamp_ns(stamp):
     return stamp.sec * NS_PER_S + stamp.nanosec
 
 
-def orientation_message(header, rotation):
-    """Return the QuaternionStamped of a Rotation."""
-    x, y, z, w = rotation.as_quat().tolist()
-    return QuaternionStamped(header=header, quaternion=Quaternion(x=x, y=y, z=z, w=w))
+@cache
+def message_type(name):
+    """Return the class of, for example, ``sensor_msgs/msg/Image``; ImportError without it."""
+    package, _, message = name.split('/')
+    module = import_module(f'{package}.msg')
+    try:
+        return getattr(module, message)
+    except AttributeError:
+        raise ImportError(f'{package} has no {message}') from None
+
+
+def make(type_name, **fields):
+    """Return the message of a type with these fields."""
+    arrays = {name: fields.pop(name) for name, value in tuple(fields.items())
+              if isinstance(value, np.ndarray)}
+    return fill_message(message_type(type_name)(**fields), arrays)
 
 
 def rotation_from_message(msg):
@@ -40,22 +52,6 @@ def rotation_from_message(msg):
     if not abs(np.linalg.norm(quaternion) - 1) <= QUATERNION_TOLERANCE:
         raise ValueError('({:g}, {:g}, {:g}, {:g}) is not a unit quaternion'.format(*quaternion))
     return Rotation.from_quat(quaternion)
-
-
-def pose_message(header, R_world_camera, covariance):
-    """
-    Return the PoseWithCovarianceStamped of an orientation with its covariance (3, 3) in rad².
-
-    As REP 103 has it, the covariance is about the fixed axes of the header's frame, the world.
-    The position is unknown, which the message can say by a variance beyond all use only.
-    """
-    msg = PoseWithCovarianceStamped(header=header)
-    x, y, z, w = R_world_camera.as_quat().tolist()
-    msg.pose.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
-    whole = np.diag([UNKNOWN_M2] * 3 + [0.] * 3)
-    whole[3:, 3:] = covariance
-    msg.pose.covariance = whole.ravel().tolist()
-    return msg
 
 
 def rates_from_twist(msg):
@@ -70,17 +66,3 @@ def rates_from_twist(msg):
         raise ValueError('angular.z, angular.y, linear.z, linear.x are ({:g}, {:g}, {:g}, {:g})'
                          .format(*counting))
     return Rates(msg.angular.z, msg.linear.z - msg.angular.y, msg.linear.x)
-
-
-def view_camera_info(header, hfov_rad, size_wh):
-    """Return the CameraInfo of a pinhole image with a horizontal field of view and size."""
-    width, height = size_wh
-    f = float(focal_length_px(hfov_rad, width))
-    # Pixel centres are integers.
-    cx, cy = (width - 1) / 2, (height - 1) / 2
-    return CameraInfo(
-        header=header, width=width, height=height,
-        distortion_model='plumb_bob', d=[0.] * 5,
-        k=[f, 0., cx, 0., f, cy, 0., 0., 1.],
-        r=[1., 0., 0., 0., 1., 0., 0., 0., 1.],
-        p=[f, 0., cx, 0., 0., f, cy, 0., 0., 0., 1., 0.])

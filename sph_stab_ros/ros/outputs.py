@@ -6,23 +6,23 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""What the node publishes of each stabilised frame: as much as somebody subscribes to."""
+"""The publishers of the node: as much of each stabilised frame as somebody subscribes to."""
 
-from geometry_msgs.msg import PoseWithCovarianceStamped, QuaternionStamped
-import numpy as np
-from sph_stab_ros.images.front_marker import mark_sphere
-from sph_stab_ros.ros.image_topics import advertise, ImagePublisher, is_wanted
-from sph_stab_ros.ros.messages import orientation_message, pose_message
-from sph_stab_ros.ros.transforms import TransformPublisher
+from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE, TRANSFORMS
+from sph_stab_ros.ros.image_topics import advertise, compressed_topic, is_wanted
+from sph_stab_ros.ros.messages import make, message_type
 from sph_stab_ros.ros.views import View
-from std_msgs.msg import Header
+from sph_stab_ros.stabilization.outputs import (
+    COMPRESSED, fits_into_tree, orientation_outputs, picture_outputs, topics, TRANSFORMS_TOPIC)
 
-SAME_FRAME_RAD = 1e-9
+# Orientations are small, and who records them wants them all.
+DEPTHS = {'orientation': 10, 'orientation_covariance': 10, 'virtual_orientation': 10,
+          TRANSFORMS_TOPIC: 100}
 
 
 class Outputs:
     """
-    The publishers of the node; everything has the stamp of the image.
+    The publishers and views of the node; everything has the stamp of the image.
 
     Parameters
     ----------
@@ -38,12 +38,25 @@ class Outputs:
     def __init__(self, node, settings, log, cpu):
         self._config = settings.config
         self._cpu = cpu
-        self._orientation = advertise(node, QuaternionStamped, 'orientation', depth=10)
-        self._pose = advertise(
-            node, PoseWithCovarianceStamped, 'orientation_covariance', depth=10)
-        self._sphere = ImagePublisher(node, 'stabilized/image')
+        self._log = node.get_logger()
+        self._publishers, self._picture_publishers = {}, []
+        for topic, type_name in topics(settings.views).items():
+            try:
+                msg_type = message_type(type_name)
+            except ImportError:
+                # It comes with a ROS installation only.
+                if type_name != TRANSFORMS:
+                    raise
+                self._log.info('no transforms on /tf: tf2_msgs is not installed')
+                continue
+            name = topic
+            if type_name == COMPRESSED_IMAGE:
+                name = compressed_topic(node, topic.removesuffix(COMPRESSED))
+            publisher = advertise(node, msg_type, name, DEPTHS.get(topic, 5))
+            self._publishers[topic] = publisher
+            if type_name in (IMAGE, COMPRESSED_IMAGE):
+                self._picture_publishers.append(publisher)
         self._views = [View(node, name, settings, log) for name in settings.views]
-        self._transforms = TransformPublisher(node, self._config.stabilized_frame)
 
     def reconfigure(self, settings, names):
         """Take on Settings of which the parameters ``names`` were set just now."""
@@ -59,46 +72,33 @@ class Outputs:
     @property
     def pictures_wanted(self):
         """Tell whether anybody subscribes to pictures."""
-        return self._sphere.wanted or any(view.picture_wanted for view in self._views)
+        return any(map(is_wanted, self._picture_publishers))
 
-    def publish_orientation(self, stabilized, image_header):
+    def publish_orientation(self, stabilized):
         """
-        Publish where the camera of a StabilizedFrame looks, made of an image with a Header.
+        Publish where the camera of a StabilizedFrame looks.
 
-        Return the present Looks, for the pictures to go with it.
+        Return what is to be published of its pictures, along where the views look now.
         """
-        header = Header(stamp=image_header.stamp, frame_id=self._config.stabilized_frame)
-        looks = [view.look() for view in self._views]
-        with self._cpu.stage('publish'):
-            if is_wanted(self._orientation):
-                self._orientation.publish(orientation_message(header, stabilized.R_world_camera))
-            if stabilized.covariance is not None and is_wanted(self._pose):
-                self._pose.publish(
-                    pose_message(header, stabilized.R_world_camera, stabilized.covariance))
-            if self._config.publish_tf and self._transforms.wanted:
-                self._transforms.publish(
-                    image_header, stabilized.R_world_camera, self._leaves(stabilized, looks))
-        return looks
+        config, cameras = self._config, [view.camera() for view in self._views]
+        self.publish(orientation_outputs(stabilized, config, cameras))
+        frame_id = stabilized.frame.frame_id
+        if config.publish_tf and self._is_wanted(TRANSFORMS_TOPIC) and not fits_into_tree(
+                frame_id, config, cameras):
+            self._log.warning(f"no transforms on /tf: the images have the frame_id '{frame_id}'",
+                              once=True)
+        return list(picture_outputs(stabilized, config, cameras))
 
-    def publish_pictures(self, stabilized, stamp, looks):
-        """Publish the stabilised sphere, and the views along the Looks."""
-        if self._sphere.wanted:
-            with self._cpu.stage('warp'):
-                image = stabilized.sphere()
-                if self._config.front_marker == 'all':
-                    mark_sphere(image, stabilized.R_camera_virtual.inv(),
-                                np.deg2rad(self._config.front_yaw_deg))
+    def publish(self, outputs):
+        """Publish those Outputs that somebody subscribes to."""
+        for output in outputs:
+            if not self._is_wanted(output.topic):
+                continue
+            if output.draw:
+                with self._cpu.stage('warp'):
+                    output.draw()
             with self._cpu.stage('publish'):
-                is_virtual = stabilized.R_world_virtual.magnitude() > SAME_FRAME_RAD
-                header = Header(stamp=stamp, frame_id=(
-                    self._config.virtual_frame if is_virtual else self._config.stabilized_frame))
-                self._sphere.publish(header, image, self._config.jpeg_quality)
-        for view, look in zip(self._views, looks):
-            view.publish(stabilized, stamp, look, self._cpu)
+                self._publishers[output.topic].publish(output.message(make))
 
-    def _leaves(self, stabilized, looks):
-        """Return the frames in the world and their orientations, ``R_world_leaf``."""
-        R_world_virtual = stabilized.R_world_virtual
-        return {self._config.virtual_frame: R_world_virtual,
-                **{view.frame_id: R_world_virtual * look.R_virtual_view
-                   for view, look in zip(self._views, looks)}}
+    def _is_wanted(self, topic):
+        return topic in self._publishers and is_wanted(self._publishers[topic])

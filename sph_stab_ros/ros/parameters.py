@@ -6,42 +6,25 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The node's parameters, made from the options in ``config`` and turned into configs again."""
-
-from dataclasses import dataclass
+"""The node's parameters, made from the options in config and turned into configs again."""
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 
-from sph_stab_ros.config import (
-    ConfigError, NODE_PARAMETERS, NodeConfig, VIEW, view_parameters, ViewConfig, with_option)
-from sph_stab_ros.geometry.masks import load_mask
-from sph_stab_ros.tracking import working_width
+from sph_stab_ros.config import Settings, VIEW
+from sph_stab_ros.tracking import check_mask
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What the parameters say: the NodeConfig, and the ViewConfig of each view by its name."""
+def changed(settings, parameters):
+    """
+    Return Settings with the values of rclpy Parameters; those of others are left out.
 
-    config: NodeConfig
-    views: dict[str, ViewConfig]
-
-    def changed(self, parameters):
-        """
-        Return the Settings with the values of rclpy Parameters; those of others are left out.
-
-        Raises ConfigError or MaskError for a value that is not allowed.
-        """
-        config, views = self.config, dict(self.views)
-        for parameter in parameters:
-            view, _, option = parameter.name.partition('.')
-            if view in views:
-                views[view] = with_option(views[view], option, parameter.value)
-            elif parameter.name in NODE_PARAMETERS:
-                config = with_option(
-                    config, NODE_PARAMETERS[parameter.name].name, parameter.value)
-        if config.tracker != self.config.tracker:
-            load_mask(config.tracker.mask, working_width(config.tracker))
-        return Settings(config, views)
+    Raises ConfigError or MaskError for a value that is not allowed.
+    """
+    known = settings.parameters
+    new = settings.changed({one.name: one.value for one in parameters if one.name in known})
+    if new.config.tracker != settings.config.tracker:
+        check_mask(new.config.tracker)
+    return new
 
 
 def declare_parameters(node):
@@ -50,19 +33,14 @@ def declare_parameters(node):
 
     Raises rclpy's ParameterException, ConfigError or MaskError for a value that is not allowed.
     """
-    own = {name: option for name, option in NODE_PARAMETERS.items()
+    settings = Settings()
+    own = {name: option for name, option in settings.parameters.items()
            if not name.startswith(f'{VIEW}.')}
-    settings = Settings(NodeConfig(), {}).changed(_declare(node, own))
-    of_views = {}
-    for view in settings.config.views:
-        of_views.update(view_parameters(view))
-    views = {view: ViewConfig() for view in settings.config.views}
-    settings = Settings(settings.config, views).changed(_declare(node, of_views))
-    frames = [view.frame_id for view in settings.views.values()]
-    frames += settings.config.stabilized_frame, settings.config.virtual_frame
-    if '' in frames or len(set(frames)) < len(frames):
-        raise ConfigError('stabilized_frame, virtual_frame and the frame_id of each view must be '
-                          'different names')
+    settings = changed(settings, _declare(node, own))
+    # Only now it is known which views there are.
+    settings = changed(settings, _declare(node, {
+        name: option for name, option in settings.parameters.items() if name not in own}))
+    settings.check_frames()
     return settings
 
 

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The virtual cameras: each has topics and parameters under its name, and looks where it is told to.
+The views: each has topics and parameters under its name, and looks where it is told to.
 
 A view looks where its parameters or ``direction`` (geometry_msgs/QuaternionStamped) said last, and
 turns and zooms at the rates of ``cmd_vel`` (geometry_msgs/Twist), all in the stabilised picture:
@@ -19,14 +19,11 @@ from time import monotonic
 from geometry_msgs.msg import QuaternionStamped, Twist
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo
 from sph_stab_ros.config import options, ViewConfig
-from sph_stab_ros.images.front_marker import mark_view
-from sph_stab_ros.ros.image_topics import advertise, ImagePublisher, is_wanted, subscribe
-from sph_stab_ros.ros.messages import rates_from_twist, rotation_from_message, view_camera_info
-from sph_stab_ros.stabilization.pipeline import view_direction
-from sph_stab_ros.stabilization.steering import Look, Steering
-from std_msgs.msg import Header
+from sph_stab_ros.ros.image_topics import subscribe
+from sph_stab_ros.ros.messages import rates_from_twist, rotation_from_message
+from sph_stab_ros.stabilization.outputs import configured_look, VirtualCamera
+from sph_stab_ros.stabilization.steering import Steering
 
 DIRECTION = {'yaw_deg', 'pitch_deg', 'roll_deg'}
 HFOV_LIMITS_RAD = next(
@@ -36,7 +33,7 @@ HFOV_LIMITS_RAD = next(
 
 class View:
     """
-    One virtual camera.
+    What steers one virtual camera.
 
     Parameters
     ----------
@@ -53,11 +50,7 @@ class View:
         self._name = name
         self._log = log
         self._config, self._view = settings.config, settings.views[name]
-        self.frame_id = self._view.frame_id
-        self._steering = Steering(
-            Look(view_direction(self._view), np.deg2rad(self._view.hfov_deg)), HFOV_LIMITS_RAD)
-        self._images = ImagePublisher(node, f'{name}/image')
-        self._info = advertise(node, CameraInfo, f'{name}/camera_info')
+        self._steering = Steering(configured_look(self._view), HFOV_LIMITS_RAD)
         subscribe(node, QuaternionStamped, f'{name}/direction', self._on_direction)
         subscribe(node, Twist, f'{name}/cmd_vel', self._on_cmd_vel)
 
@@ -70,38 +63,18 @@ class View:
         self._config, self._view = settings.config, settings.views[self._name]
         own = {name.removeprefix(f'{self._name}.') for name in names}
         if DIRECTION & own:
-            self._steering.look(monotonic(), R_virtual_view=view_direction(self._view))
+            self._steering.look(
+                monotonic(), R_virtual_view=configured_look(self._view).R_virtual_view)
         if 'hfov_deg' in own:
             self._steering.look(monotonic(), hfov_rad=np.deg2rad(self._view.hfov_deg))
 
-    @property
-    def picture_wanted(self):
-        """Tell whether anybody subscribes to the picture."""
-        return self._images.wanted
-
-    def look(self):
-        """Return the present Look."""
-        return self._steering.at(monotonic())
+    def camera(self):
+        """Return the VirtualCamera that looks as this view does at present."""
+        return VirtualCamera(self._name, self._view, self._steering.at(monotonic()))
 
     def look_home(self):
         """Look at the stabilised frame's front."""
         self._steering.look(monotonic(), R_virtual_view=Rotation.identity())
-
-    def publish(self, stabilized, stamp, look, cpu):
-        """Publish what somebody subscribes to of a StabilizedFrame along a Look."""
-        header = Header(stamp=stamp, frame_id=self.frame_id)
-        size_wh = self._view.width, self._view.height
-        if is_wanted(self._info):
-            self._info.publish(view_camera_info(header, look.hfov_rad, size_wh))
-        if self.picture_wanted:
-            with cpu.stage('warp'):
-                image = stabilized.view(look.R_virtual_view, look.hfov_rad, size_wh)
-                if self._config.front_marker != 'none':
-                    R_camera_view = stabilized.R_camera_virtual * look.R_virtual_view
-                    mark_view(image, R_camera_view.inv(),
-                              np.deg2rad(self._config.front_yaw_deg), look.hfov_rad)
-            with cpu.stage('publish'):
-                self._images.publish(header, image, self._config.jpeg_quality)
 
     def _on_direction(self, msg):
         """Look there until the direction is set again, by topic or parameter."""

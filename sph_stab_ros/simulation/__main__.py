@@ -13,16 +13,19 @@ from pathlib import Path
 import sys
 
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.simulation import flights
-from sph_stab_ros.simulation.recordings import read_frames, write_recording
-from sph_stab_ros.simulation.renderer import render_flight, RenderOptions
+from sph_stab_ros.simulation import company, flights
+from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS, read_frames, write_recording
+from sph_stab_ros.simulation.renderer import render, RenderOptions
 from sph_stab_ros.simulation.room import Room
 from tqdm import tqdm
 
 NAME = 'simulation'
 FROM_LOGS = {'drone': flights.drone, 'pioneer': flights.pioneer, 'handheld': flights.handheld}
-SYNTHETIC = {'synthetic': flights.synthetic, 'hover': flights.hover, 'shake': flights.shake}
+COMPANY = {'company_pioneer': company.pioneer, 'company_handheld': company.handheld}
+SYNTHETIC = {'synthetic': flights.synthetic, 'hover': flights.hover, 'shake': flights.shake,
+             **COMPANY}
 PEOPLE = {'pioneer': 2, 'handheld': 4, 'hover': 2}
 HARD = {
     'plain': {},  # a property of the room
@@ -83,14 +86,28 @@ def simulate(command_line, args):
     if args.frames is not None:
         images = read_frames(args.frames, flight, whole)
     else:
-        options = RenderOptions(robot=args.flight == 'pioneer', seed=args.seed)
-        for difficulty in args.hard:
-            options = replace(options, **HARD[difficulty])
+        images = rendered(args, whole, flight)
+    progress = tqdm(images, args.flight, len(flight.stamps_ns), unit='frame', disable=None)
+    # A ground robot's motion does not tell how the markers sit; in company they sit straight.
+    R_camera_markers = R_BODY_CAMERA.inv() if args.flight in COMPANY else R_CAMERA_MARKERS
+    write_recording(args.out, flight, progress, args.quality, args.force, R_camera_markers)
+
+
+def rendered(args, whole, flight):
+    """Return an iterator over the pictures of a flight, part of a whole one."""
+    if args.flight in COMPANY:
+        # Where people walk is planned over the whole flight.
+        seen, options = whole, company.render_options(args.seed)
+        room = company.room(whole, args.seed, 'plain' in args.hard)
+    else:
+        seen = flight
         room = Room(flight, args.seed, people=PEOPLE.get(args.flight, 1),
                     plain_walls='plain' in args.hard)
-        images = render_flight(room, flight, args.width, options)
-    progress = tqdm(images, args.flight, len(flight.stamps_ns), unit='frame', disable=None)
-    write_recording(args.out, flight, progress, args.quality, args.force)
+        options = RenderOptions(robot=args.flight == 'pioneer', seed=args.seed)
+    for difficulty in args.hard:
+        options = replace(options, **HARD[difficulty])
+    times_s = (flight.stamps_ns - seen.stamps_ns[0]) * 1e-9
+    return (render(room, seen, float(t_s), args.width, options) for t_s in times_s)
 
 
 def whole_flight(args):

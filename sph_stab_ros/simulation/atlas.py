@@ -8,8 +8,12 @@
 
 """Many textures at all their resolutions in one picture, so that one remap reads them all."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
+
+from sph_stab_ros.geometry.arrays import Bgr, Plane, Raster
 
 _WIDTH = 4096  # cv2.remap addresses less than 32768 in either direction
 _LEVELS = 7
@@ -19,10 +23,10 @@ class Atlas:
     """
     Mip-mapped textures, read with trilinear interpolation.
 
-    `textures` are uint8 BGR images (h, w, 3), all with `texels_per_m` texels per metre.
+    `textures` all have `texels_per_m` texels per metre.
     """
 
-    def __init__(self, textures, texels_per_m):
+    def __init__(self, textures: Sequence[Bgr], texels_per_m: float) -> None:
         self._texels_per_m = texels_per_m
         pyramids = [_pyramid(texture) for texture in textures]
         levels = [level for pyramid in pyramids for level in pyramid]
@@ -39,7 +43,7 @@ class Atlas:
         self._scale = (sizes / full * texels_per_m).astype(np.float32).T.copy()
         self._limit = (np.array(corners, np.float32) + 0.5 + sizes).T.copy()
 
-    def sample(self, texture, x_m, y_m, footprint_m):
+    def sample(self, texture: Raster, x_m: Plane, y_m: Plane, footprint_m: Plane) -> Bgr:
         """
         Colours (h, w, 3) of pixels that look at `x_m`, `y_m` from a texture's top left corner.
 
@@ -53,20 +57,20 @@ class Atlas:
         return cv2.blendLinear(self._read(index, x_m, y_m), self._read(index + 1, x_m, y_m),
                                1 - coarser, coarser)
 
-    def _read(self, index, x_m, y_m):
+    def _read(self, index: Raster, x_m: Plane, y_m: Plane) -> Bgr:
         u, v = (np.minimum(offset.take(index) + m * scale.take(index), limit.take(index))
                 for offset, scale, limit, m in zip(self._offset, self._scale, self._limit,
                                                    (x_m, y_m)))
         return cv2.remap(self._image, u, v, cv2.INTER_LINEAR)
 
 
-def _pyramid(texture):
+def _pyramid(texture: Bgr) -> list[Bgr]:
     h, w = texture.shape[:2]
     return [cv2.resize(texture, (max(1, w >> level), max(1, h >> level)),
                        interpolation=cv2.INTER_AREA) for level in range(_LEVELS)]
 
 
-def _pack(shapes):
+def _pack(shapes: Sequence[tuple[int, ...]]) -> tuple[list[tuple[int, int]], int]:
     """Top left corners (x, y) of rectangles (h, w) with a border of one, and the height used."""
     corners = [(0, 0)] * len(shapes)
     x = y = shelf = 0

@@ -8,17 +8,26 @@
 
 """What an IMU on the camera of a simulated flight says."""
 
-import numpy as np
+from typing import TypeAlias
 
-from sph_stab_ros.simulation.flights import PAD_S
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.arrays import Vector
+from sph_stab_ros.simulation.flights import Flight, PAD_S
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.level import GRAVITY_M_S2
 
+# Of each axis.
+Bias: TypeAlias = Vector | tuple[float, float, float]
 _STEP_S = 1e-3  # of the differences that derivatives are taken by
 
 
-def imu_samples(flight, R_camera_imu, rate_hz=200., force_noise_m_s2=0., rate_noise_rad_s=0.,
-                force_bias_m_s2=(0, 0, 0), rate_bias_rad_s=(0, 0, 0), seed=0):
+def imu_samples(
+        flight: Flight, R_camera_imu: Rotation, rate_hz: float = 200.,
+        force_noise_m_s2: float = 0., rate_noise_rad_s: float = 0.,
+        force_bias_m_s2: Bias = (0, 0, 0), rate_bias_rad_s: Bias = (0, 0, 0),
+        seed: int = 0) -> list[ImuSample]:
     """
     Return the ImuSamples of a flight, from a quarter of a second before its first frame on.
 

@@ -13,15 +13,20 @@ The truth is the pose of a body of markers that sits on the camera somehow,
 ``R_mocap_markers = R_mocap_camera R_camera_markers``, at 100 Hz, between the frames.
 """
 
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
-from sph_stab_ros.images.codec import encode_jpeg, jpeg_format
+from sph_stab_ros.geometry.arrays import Bgr, Image, Stamps, Vector, Vectors
+from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
+from sph_stab_ros.recording.messages import compressed_image
 from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.simulation.flights import Flight
 
 IMAGE_TOPIC = '/theta/image_raw/compressed'
 TRUTH_TOPIC = '/vrpn/pose'
@@ -29,7 +34,7 @@ CAMERA_FRAME = 'theta_camera'
 TRUTH_FRAME = 'mocap'
 
 # Markers never sit straight: an upright body, put on with a few odd degrees and centimetres.
-R_CAMERA_MARKERS = R_BODY_CAMERA.inv() * Rotation.from_euler('ZYX', (7.0, -4.0, 2.5), degrees=True)
+R_CAMERA_MARKERS = R_CAMERA_BODY * Rotation.from_euler('ZYX', (7.0, -4.0, 2.5), degrees=True)
 P_CAMERA_MARKERS_M = np.array((0.03, 0.09, -0.05))
 
 _TRUTH_PERIOD_NS = 10_000_000
@@ -37,18 +42,20 @@ _TRUTH_PHASE_NS = 3_700_000
 _TRUTH_MARGIN_NS = 100_000_000  # truth before the first frame and after the last
 
 
-def truth(flight):
+def truth(flight: Flight, R_camera_markers: Rotation = R_CAMERA_MARKERS
+          ) -> tuple[Stamps, Rotation, Vectors]:
     """Return stamps (N,) int64 in ns, ``R_mocap_markers`` and positions (N, 3) in metres."""
     first_ns = flight.stamps_ns[0]
     stamps_ns = np.arange(first_ns - _TRUTH_MARGIN_NS + _TRUTH_PHASE_NS,
                           flight.stamps_ns[-1] + _TRUTH_MARGIN_NS, _TRUTH_PERIOD_NS)
     t_s = (stamps_ns - first_ns) * 1e-9
     R_mocap_camera = flight.R_mocap_camera(t_s)
-    return (stamps_ns, R_mocap_camera * R_CAMERA_MARKERS,
+    return (stamps_ns, R_mocap_camera * R_camera_markers,
             flight.p_mocap_camera(t_s) + R_mocap_camera.apply(P_CAMERA_MARKERS_M))
 
 
-def write_recording(path, flight, images, quality=80, force=False):
+def write_recording(path: Path, flight: Flight, images: Iterable[Image], quality: int = 80,
+                    force: bool = False, R_camera_markers: Rotation = R_CAMERA_MARKERS) -> None:
     """
     Write a rosbag2 folder (MCAP) of a flight from its pictures, one for each frame.
 
@@ -64,10 +71,12 @@ def write_recording(path, flight, images, quality=80, force=False):
         Of the JPEG compression, 1 to 100.
     force : bool
         Whether to replace the folder; RecordingError if it exists otherwise.
+    R_camera_markers : Rotation
+        How the markers sit on the camera.
 
     """
     with partial_output(path, force) as partial, BagWriter(partial) as bag:
-        poses = list(zip(*truth(flight)))
+        poses = list(zip(*truth(flight, R_camera_markers)))
         written = 0
         for image in images:
             if written == len(flight.stamps_ns):
@@ -84,7 +93,7 @@ def write_recording(path, flight, images, quality=80, force=False):
             _write_pose(bag, *pose)
 
 
-def read_frames(folder, flight, whole_flight):
+def read_frames(folder: Path, flight: Flight, whole_flight: Flight) -> Iterator[Bgr]:
     """
     Yield the pictures of a flight from a folder of rendered ones, ``000000.png`` and so on.
 
@@ -100,13 +109,13 @@ def read_frames(folder, flight, whole_flight):
         yield image
 
 
-def _write_image(bag, stamp_ns, image, quality):
-    bag.write(IMAGE_TOPIC, bag.type('sensor_msgs/msg/CompressedImage')(
-        header=bag.header(stamp_ns, CAMERA_FRAME), format=jpeg_format(image),
-        data=encode_jpeg(image, quality)), stamp_ns)
+def _write_image(bag: BagWriter, stamp_ns: int, image: Image, quality: int) -> None:
+    bag.write(IMAGE_TOPIC, compressed_image(bag.make, stamp_ns, CAMERA_FRAME, image, quality),
+              stamp_ns)
 
 
-def _write_pose(bag, stamp_ns, R_mocap_markers, position_m):
+def _write_pose(
+        bag: BagWriter, stamp_ns: int, R_mocap_markers: Rotation, position_m: Vector) -> None:
     qx, qy, qz, qw = R_mocap_markers.as_quat()
     x, y, z = position_m
     pose = bag.type('geometry_msgs/msg/Pose')(

@@ -15,13 +15,23 @@ what `RenderOptions` says; it serves tests and small recordings.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bgr, Floats, Mask, Values, Vector
 from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
-from sph_stab_ros.geometry.equirect import bearing_grid
+from sph_stab_ros.geometry.equirect import bearings_from_pixels
+from sph_stab_ros.simulation.flights import Flight
+from sph_stab_ros.simulation.room import Box, Room
+
+# Directions and origins of rays, (3, h, w) or (3, h or 1, 1).
+Rays: TypeAlias = Floats
+# In the pixel, from its centre: along u and v.
+Shift: TypeAlias = tuple[float, float]
 
 _STITCH_AXIS = np.array([2.0, 2.0, 1.0]) / 3.0
 _EXPOSURE_STEP_S = 1.5
@@ -33,12 +43,15 @@ class RenderOptions:
     What the camera does to the picture; the defaults are a good one with little noise.
 
     A frame is stamped at the middle of its exposure, of the middle row if the shutter rolls.
+    With `jitter` the samples of the blur look beside each other within the pixel, which takes
+    the place of supersampling at a fraction of its time.
     """
 
     noise_std: float = 1.5  # of 255 levels
     exposure_step: float = 0.0  # largest relative change of brightness, anew every 1.5 s
     exposure_s: float = 0.0  # motion blur
     blur_samples: int = 6
+    jitter: bool = False
     readout_s: float = 0.0  # rolling shutter, from the first to the last row
     stitch_error_deg: float = 0.0  # of the rear lens against the front lens
     robot: bool = False  # shows what the camera is mounted on
@@ -46,16 +59,18 @@ class RenderOptions:
     seed: int = 0
 
 
-def render(room, flight, t_s, width=640, options=RenderOptions()):
+def render(room: Room, flight: Flight, t_s: float, width: int = 640,
+           options: RenderOptions = RenderOptions()) -> Bgr:
     """
-    Return what the flight's camera sees at `t_s`: (width / 2, width, 3) uint8 BGR.
+    Return what the flight's camera sees at `t_s`: (width / 2, width, 3).
 
     Equal arguments give equal pictures, noise included.
     """
     if options.exposure_s > 0:
         moments = (np.arange(options.blur_samples) + 0.5) / options.blur_samples - 0.5
-        image = np.mean([_snapshot(room, flight, t_s + moment * options.exposure_s, width, options)
-                         for moment in moments], axis=0, dtype=np.float32)
+        image: Any = np.mean([
+            _snapshot(room, flight, t_s + moment * options.exposure_s, width, options, shift_px)
+            for moment, shift_px in zip(moments, _shifts_px(options))], axis=0, dtype=np.float32)
     else:
         image = _snapshot(room, flight, t_s, width, options).astype(np.float32)
     step = np.random.default_rng([options.seed, int(t_s // _EXPOSURE_STEP_S)]).uniform(-1, 1)
@@ -65,15 +80,21 @@ def render(room, flight, t_s, width=640, options=RenderOptions()):
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def render_flight(room, flight, width=640, options=RenderOptions()):
-    """Yield the picture of every frame of a flight."""
-    for t_s in flight.frame_times_s:
-        yield render(room, flight, float(t_s), width, options)
+def _shifts_px(options: RenderOptions) -> list[Shift]:
+    """Return where in the pixel each sample of the blur looks, ``(u, v)`` from its centre."""
+    if not options.jitter:
+        return options.blur_samples * [(0.0, 0.0)]
+    column = np.arange(options.blur_samples)
+    # As rooks that do not threaten each other, so that the mean is the pixel's centre.
+    row = np.argsort(np.argsort((column + 1) * 0.618034 % 1))
+    return [(float(u), float(v)) for u, v in
+            (np.stack((column, row), axis=1) + 0.5) / options.blur_samples - 0.5]
 
 
-def _snapshot(room, flight, t_s, width, options):
-    fine_width = width * options.supersampling
-    camera_rays = _camera_rays(fine_width, options.stitch_error_deg)
+def _snapshot(room: Room, flight: Flight, t_s: float, width: int, options: RenderOptions,
+              shift_px: Shift = (0.0, 0.0)) -> Bgr:
+    fine_width = width * (1 if options.jitter else options.supersampling)
+    camera_rays = _camera_rays(fine_width, options.stitch_error_deg, shift_px)
     rows = fine_width // 2
     if options.readout_s > 0:
         times = t_s + ((np.arange(rows) + 0.5) / rows - 0.5) * options.readout_s
@@ -102,12 +123,12 @@ def _snapshot(room, flight, t_s, width, options):
 class _Hits:
     """What every ray (h, w) meets first: a side, the place on it, distance and incidence."""
 
-    def __init__(self, shape):
+    def __init__(self, shape: tuple[int, ...]) -> None:
         self.distance = np.full(shape, np.inf, np.float32)
         self.side = np.zeros(shape, np.int32)
         self.x_m, self.y_m, self.cosine = (np.empty(shape, np.float32) for _ in range(3))
 
-    def enter_shell(self, box, rays, origins):
+    def enter_shell(self, box: Box, rays: Rays, origins: Rays) -> None:
         """Meet the room's own sides, from inside; every ray does."""
         lowest, highest = _corners(box, 0.0)
         with np.errstate(divide='ignore'):
@@ -122,7 +143,7 @@ class _Hits:
                      np.broadcast_to(origins, rays.shape).reshape(3, -1)
                      if origins.shape[1] > 1 else origins[:, :, 0])
 
-    def enter_box(self, box, t_s, rays, origins):
+    def enter_box(self, box: Box, t_s: float, rays: Rays, origins: Rays) -> None:
         """Meet a box from outside, where it is nearer than what was met so far."""
         lowest, highest = _corners(box, t_s)
         index = np.flatnonzero(_may_meet(lowest, highest, rays, origins))
@@ -139,7 +160,8 @@ class _Hits:
         self._record(index[met], box, (lowest, highest), axis[met], distance[met], d[:, met],
                      o if o.shape[1] == 1 else o[:, met])
 
-    def _record(self, index, box, corners, axis, distance, d, o):
+    def _record(self, index: Any, box: Box, corners: tuple[Vector, Vector], axis: NDArray[Any],
+                distance: Values, d: Floats, o: Floats) -> None:
         lowest, highest = corners
         x, y, z = o + distance * d
         along = np.where(axis == 0, d[0], np.where(axis == 1, d[1], d[2]))
@@ -155,7 +177,7 @@ class _Hits:
         self.cosine.reshape(-1)[index] = np.abs(along)
 
 
-def _may_meet(lowest, highest, rays, origins):
+def _may_meet(lowest: Vector, highest: Vector, rays: Rays, origins: Rays) -> Mask:
     """Tell which rays (h, w) pass through the sphere around a box; a few too many if rolling."""
     middle = origins.mean(axis=(1, 2))
     to_box = (lowest + highest) / 2 - middle
@@ -168,22 +190,24 @@ def _may_meet(lowest, highest, rays, origins):
     return (to_box / distance) @ rays.reshape(3, -1) > cosine
 
 
-def _corners(box, t_s):
+def _corners(box: Box, t_s: float) -> tuple[Vector, Vector]:
     """Lowest and highest corner (3,) of a box."""
     centre = box.centre_m(t_s)
     return ((centre - box.size_m / 2).astype(np.float32),
             (centre + box.size_m / 2).astype(np.float32))
 
 
-@lru_cache(maxsize=4)
-def _camera_rays(width, stitch_error_deg):
+@lru_cache(maxsize=8)
+def _camera_rays(width: int, stitch_error_deg: float, shift_px: Shift) -> Rays:
     """
     Directions (3, h, w) float32 in which the camera's pixels really look.
 
     The picture's middle half comes from the front lens, the rest from the rear; a stitch error
     turns them against each other, the camera's frame staying half-way between.
     """
-    rays = bearing_grid(width).transpose(2, 0, 1).copy()
+    v, u = np.mgrid[:width // 2, :width]
+    looks = bearings_from_pixels(np.stack((u, v), axis=-1) + shift_px, width)
+    rays = looks.astype(np.float32).transpose(2, 0, 1).copy()
     if stitch_error_deg:
         front = rays[2] > 0
         for lens, sign in ((front, 0.5), (~front, -0.5)):
@@ -192,5 +216,5 @@ def _camera_rays(width, stitch_error_deg):
     return rays
 
 
-def _rotated(R, rays):
+def _rotated(R: Rotation, rays: Rays) -> Rays:
     return (R.as_matrix().astype(np.float32) @ rays.reshape(3, -1)).reshape(rays.shape)

@@ -13,23 +13,35 @@ Every function returns a float32 BGR image (h, w, 3) within 0…255, `w, h` bein
 size in texels, row 0 at the top. `scale` is texels per metre.
 """
 
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
 import cv2
 import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike
+
+from sph_stab_ros.geometry.arrays import Floats, Plane
+
+# (h, w, 3), blue first, within 0…255.
+Texture: TypeAlias = Floats
+# Paints a surface (rng, w, h, scale).
+Paint: TypeAlias = Callable[[Generator, int, int, float], Texture]
 
 
-def smooth_noise(rng, w, h, cell):
+def smooth_noise(rng: Generator, w: int, h: int, cell: float) -> Plane:
     """Noise (h, w) of unit variance whose features are about `cell` texels large."""
     coarse = rng.standard_normal((max(2, round(h / cell) + 1), max(2, round(w / cell) + 1)))
     return cv2.resize(coarse.astype(np.float32), (w, h), interpolation=cv2.INTER_CUBIC)
 
 
-def plaster(rng, w, h, scale, colour):
+def plaster(rng: Generator, w: int, h: int, scale: float, colour: ArrayLike) -> Texture:
     """Painted plaster: a plain colour with faint stains and roller marks."""
     faint = 2 * smooth_noise(rng, w, h, 0.6 * scale) + 2 * smooth_noise(rng, w, h, 0.06 * scale)
     return np.full((h, w, 3), colour, np.float32) + faint[..., None]
 
 
-def wall(rng, w, h, scale, plain):
+def wall(rng: Generator, w: int, h: int, scale: float, plain: bool) -> Texture:
     """Plaster with skirting; if not `plain`, with posters, windows and a door as space permits."""
     image = plaster(rng, w, h, scale, rng.uniform((190, 195, 200), (215, 225, 230)))
     skirting = round(0.09 * scale)
@@ -38,8 +50,8 @@ def wall(rng, w, h, scale, plain):
         _paste(image, socket(scale), rng.uniform(0.1, 0.9) * w, h - 0.35 * scale)
         return image
     x = rng.uniform(0.2, 0.6) * scale
-    decorations = rng.permutation([door, window, poster, poster, poster, window, poster])
-    for decoration in decorations:
+    decorations: Any = [door, window, poster, poster, poster, window, poster]
+    for decoration in rng.permutation(decorations):
         picture = decoration(rng, scale)
         ph, pw = picture.shape[:2]
         if x + pw > w - 0.1 * scale:
@@ -51,7 +63,7 @@ def wall(rng, w, h, scale, plain):
     return image
 
 
-def socket(scale):
+def socket(scale: float) -> Texture:
     """Return a wall socket."""
     size = round(0.16 * scale)
     image = np.full((size, size, 3), 235, np.float32)
@@ -60,7 +72,7 @@ def socket(scale):
     return image
 
 
-def door(rng, scale):
+def door(rng: Generator, scale: float) -> Texture:
     """Return a panelled wooden door in its frame."""
     w, h = round(0.95 * scale), round(2.05 * scale)
     image = wood(rng, w, h, scale, rng.uniform((40, 60, 90), (90, 120, 150)))
@@ -76,7 +88,7 @@ def door(rng, scale):
     return image
 
 
-def window(rng, scale):
+def window(rng: Generator, scale: float) -> Texture:
     """Return a window on a bright sky and trees."""
     w, h = round(rng.uniform(1.0, 1.5) * scale), round(1.2 * scale)
     height = np.linspace(0, 1, h, dtype=np.float32)[:, None, None]
@@ -85,7 +97,7 @@ def window(rng, scale):
     skyline = 0.55 + 0.08 * smooth_noise(rng, w, 1, 0.1 * scale)[0]
     trees = height[:, :, 0] > skyline[None]
     leaves = 1 + 0.3 * smooth_noise(rng, w, h, 0.03 * scale)[..., None]
-    image = np.where(trees[..., None], np.float32((80, 130, 100)) * leaves, image)
+    image = np.where(trees[..., None], np.array((80, 130, 100), np.float32) * leaves, image)
     bar = max(2, round(0.05 * scale))
     for x in (0, w // 2 - bar // 2, w - bar):
         image[:, x:x + bar] = 240
@@ -94,7 +106,7 @@ def window(rng, scale):
     return image
 
 
-def poster(rng, scale):
+def poster(rng: Generator, scale: float) -> Texture:
     """Return a poster with shapes and lines of print."""
     w, h = round(rng.uniform(0.5, 1.1) * scale), round(rng.uniform(0.6, 1.1) * scale)
     image = np.full((h, w, 3), rng.uniform(120, 250, 3), np.float32)
@@ -118,7 +130,7 @@ def poster(rng, scale):
     return image
 
 
-def tiles(rng, w, h, scale):
+def tiles(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Floor of 0.4 m tiles of slightly different shades, with joints and speckles."""
     size = 0.4 * scale
     columns, rows = (np.arange(n) / size for n in (w, h))
@@ -132,7 +144,7 @@ def tiles(rng, w, h, scale):
     return (shade[..., None] * rng.uniform((110, 125, 140), (150, 160, 170))).astype(np.float32)
 
 
-def ceiling(rng, w, h, scale, plain):
+def ceiling(rng: Generator, w: int, h: int, scale: float, plain: bool) -> Texture:
     """White ceiling with lamps and a smoke detector; if not `plain`, of 0.6 m mineral panels."""
     image = plaster(rng, w, h, scale, np.array((205, 208, 210)))
     if not plain:
@@ -149,14 +161,14 @@ def ceiling(rng, w, h, scale, plain):
     return image
 
 
-def wood(rng, w, h, scale, colour):
+def wood(rng: Generator, w: int, h: int, scale: float, colour: ArrayLike) -> Texture:
     """Wood with vertical grain."""
     streaks = cv2.resize(smooth_noise(rng, w, max(2, h // 12), 0.02 * scale), (w, h))
     return (np.asarray(colour, np.float32)
             * (1 + 0.08 * streaks + 0.05 * smooth_noise(rng, w, h, 0.3 * scale))[..., None])
 
 
-def cupboard(rng, w, h, scale):
+def cupboard(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Front of a cupboard: wooden doors with gaps and handles, or shelves with books."""
     # What all sides share is drawn before anything whose size differs between them.
     has_doors, colour = rng.random() < 0.5, rng.uniform((50, 80, 110), (170, 190, 205))
@@ -182,7 +194,7 @@ def cupboard(rng, w, h, scale):
     return image
 
 
-def crate(rng, w, h, scale):
+def crate(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Cardboard with tape and a label."""
     image = wood(rng, w, h, scale, np.array((95, 140, 180)))
     tape = max(2, round(0.05 * scale))
@@ -192,12 +204,12 @@ def crate(rng, w, h, scale):
     return image
 
 
-def pillar(rng, w, h, scale):
+def pillar(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Plaster, as the walls."""
     return plaster(rng, w, h, scale, np.array((200, 205, 208)))
 
 
-def clothing(rng, w, h, scale):
+def clothing(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Trousers and a striped shirt, from feet to shoulders."""
     trousers, shirt = rng.uniform(30, 110, 3), rng.uniform(40, 230, 3)
     stripe = max(2, round(rng.uniform(0.03, 0.08) * scale))
@@ -209,14 +221,29 @@ def clothing(rng, w, h, scale):
     return image * (1 + 0.12 * smooth_noise(rng, w, h, 0.08 * scale)[..., None])
 
 
-def skin(rng, w, h, scale):
+def outdoor_clothing(rng: Generator, w: int, h: int, scale: float) -> Texture:
+    """Washed trousers below a gaudy jacket, with patches, pockets and prints all over."""
+    image = np.empty((h, w, 3), np.float32)
+    waist = round(0.45 * h)
+    image[:waist], image[waist:] = rng.uniform(70, 200, 3), rng.uniform(50, 130, 3)
+    patches = rng.uniform((0, 0, 0.02, 0.02, 0, 0, 0), (0.42, 1, 0.12, 0.15, 255, 255, 255),
+                          (25, 7))
+    for x_m, y, patch_w_m, patch_h_m, *colour in patches:
+        left, top = round(x_m * scale), round(y * h)
+        image[top:top + round(patch_h_m * scale), left:left + round(patch_w_m * scale)] = colour
+    for cell_m, strength in ((0.2, 0.15), (0.05, 0.15), (0.02, 0.12)):
+        image *= 1 + strength * smooth_noise(rng, w, h, cell_m * scale)[..., None]
+    return image
+
+
+def skin(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Return a head: skin below hair."""
     image = np.full((h, w, 3), (120, 150, 195), np.float32)
     image[:round(0.35 * h)] = rng.uniform(20, 80, 3)
     return image * (1 + 0.05 * smooth_noise(rng, w, h, 0.04 * scale))[..., None]
 
 
-def machine(rng, w, h, scale):
+def machine(rng: Generator, w: int, h: int, scale: float) -> Texture:
     """Sheet metal of a robot with slots, screws and a label."""
     image = np.full((h, w, 3), rng.choice(((35, 35, 130), (45, 45, 45))), np.float32)
     image += 4 * smooth_noise(rng, w, h, 0.03 * scale)[..., None]
@@ -227,7 +254,7 @@ def machine(rng, w, h, scale):
     return image
 
 
-def _paste(image, picture, x, y):
+def _paste(image: Texture, picture: Texture, x: float, y: float) -> None:
     """Put a picture into the image, centred at x, y, cut off at the borders."""
     h, w = picture.shape[:2]
     left, top = round(x - w / 2), round(y - h / 2)

@@ -24,6 +24,8 @@ MAX_GAP_NS = NS_PER_S // 10
 # Stamps that go back further are those of a new start; others are late and left out.
 NEW_START_NS = NS_PER_S // 10
 HISTORY_NS = 2 * NS_PER_S
+# In the first element of a message's covariance, as REP 145 has it.
+NOT_MEASURED = -1.
 
 
 class ImuError(ValueError):
@@ -57,6 +59,27 @@ class ImuSample:
         # What drivers send that do not measure it.
         if self.specific_force_m_s2 is not None and not self.specific_force_m_s2.any():
             raise ImuError('the specific force is zero')
+
+
+def imu_sample(msg: Any, received_ns: int) -> ImuSample:
+    """
+    Return the ImuSample of a sensor_msgs Imu, of rclpy's or of a bag's; ImuError where it is none.
+
+    One without a stamp is of when it was received.
+    """
+    force, rate = msg.linear_acceleration, msg.angular_velocity
+    if msg.linear_acceleration_covariance[0] == NOT_MEASURED:
+        force = None
+    if msg.angular_velocity_covariance[0] == NOT_MEASURED:
+        rate = None
+    if force is rate is None:
+        raise ImuError('by its covariances it measures neither force nor angular velocity')
+    stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
+    return ImuSample(stamp_ns or received_ns, _xyz(force), _xyz(rate))
+
+
+def _xyz(vector: Any) -> Vector | None:
+    return None if vector is None else np.array((vector.x, vector.y, vector.z), float)
 
 
 def mount_rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Rotation:

@@ -18,16 +18,23 @@ from typing import Any, Protocol
 
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
+from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording, RecordingError
+from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 
 logger = logging.getLogger(__name__)
 
 
 class FrameProcessor(Protocol):
     """A Stabilizer, or what stands in for one."""
+
+    def add_imu(self, sample: ImuSample) -> None:
+        """Take in an ImuSample; there are none unless the recording's IMU is asked for."""
 
     def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
@@ -52,7 +59,7 @@ class Summary:
             self.events[event.value] += 1
             if self.events[event.value] == 1:
                 logger.warning('picture %d at %.3f s: %s (more of these are only counted)',
-                               self.frames, stabilized.stamp_ns / 1e9, event.value)
+                               self.frames, stabilized.stamp_ns / NS_PER_S, event.value)
         if self.R_world_camera is not None:
             self.turned_rad += (self.R_world_camera.inv() * stabilized.R_world_camera).magnitude()
         self.R_world_camera = stabilized.R_world_camera
@@ -61,7 +68,8 @@ class Summary:
 def stabilize_recording(
         recording: Recording, stabilizer: FrameProcessor,
         sinks: Iterable[Callable[[StabilizedFrame], Any]] = (), max_frames: int | None = None,
-        progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter) -> Summary:
+        progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter,
+        imu: RecordedImu | None = None, pictures: bool = False) -> Summary:
     """
     Stabilise a Recording frame by frame and return the Summary.
 
@@ -77,6 +85,10 @@ def stabilize_recording(
         How many pictures to read; all by default.
     progress
         Passes on the iterator of frames that it is given, and may tell of it.
+    imu : RecordedImu, optional
+        Its samples go to the stabilizer, each before the first picture that is not earlier.
+    pictures
+        Whether sinks ask for pictures, whose images are then decoded once, for tracking too.
 
     Raises
     ------
@@ -87,9 +99,14 @@ def stabilize_recording(
     summary = Summary()
     with closing(recording.frames()) as frames:
         for frame in progress(islice(frames, max_frames)):
+            if imu is not None:
+                for sample in imu.until(frame.stamp_ns):
+                    stabilizer.add_imu(sample)
             try:
+                if pictures:
+                    frame.load()
                 stabilized = stabilizer.process(frame)
-            except ProjectionError as error:
+            except (ImageError, ProjectionError) as error:
                 summary.left_out[error.reason] += 1
                 if summary.left_out[error.reason] == 1:
                     logger.warning('%s: picture left out, %s (more of these are only counted)',

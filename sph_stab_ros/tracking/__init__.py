@@ -9,7 +9,8 @@
 """Trackers: frames in, the camera's orientation in the world out."""
 
 from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, Tracker, TrackingStatus
-from sph_stab_ros.tracking.factory import make_tracker, MakeTracker, working_width
+from sph_stab_ros.tracking.factory import (
+    check_mask, make_tracker, MakeTracker, working_width)
 
-__all__ = ['make_tracker', 'MakeTracker', 'no_gyro', 'TrackedOrientation', 'Tracker',
+__all__ = ['check_mask', 'make_tracker', 'MakeTracker', 'no_gyro', 'TrackedOrientation', 'Tracker',
            'TrackingStatus', 'working_width']

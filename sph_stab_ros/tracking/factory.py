@@ -34,6 +34,11 @@ def working_width(config: TrackerConfig) -> int:
     return ANCHORED_WIDTH if config.estimator == ANCHORED else FRAME_TO_FRAME_WIDTH
 
 
+def check_mask(config: TrackerConfig) -> None:
+    """Raise MaskError where the mask of a TrackerConfig cannot be used."""
+    load_mask(config.mask, working_width(config))
+
+
 def make_tracker(
         config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro) -> Tracker:
     """

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.trajectory import read_tum, Trajectory, tum_line
+from sph_stab_ros.geometry.trajectory import read_tum, Trajectory, tum_line, write_tum
 
 SINCE_1970_NS = 1_700_000_000_123_456_789
 
@@ -93,8 +93,8 @@ def test_tum_files_are_read_as_written(tmp_path):
     """Writing and reading give the same stamps and orientations."""
     trajectory = random_trajectory()
     path = tmp_path / 'a.tum'
-    path.write_text('# a comment\n\n' + ''.join(
-        map(tum_line, trajectory.stamps_ns, trajectory.rotations)))
+    write_tum(path, trajectory)
+    path.write_text('# a comment\n\n' + path.read_text())
     again = read_tum(path)
     assert np.array_equal(again.stamps_ns, trajectory.stamps_ns)
     assert angles_rad(again.rotations, trajectory.rotations).max() < 1e-8

@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from operator_site import BAD, picture  # noqa: E402, I100
 from sph_stab_ros.operator.pairing import (  # noqa: E402
-    MAX_WAITING, Orientation, Pairing, Picture, SILENCE_S)
+    MAX_WAITING, Orientation, Pairing, Picture, SILENCE_S, StampedOrientations)
 from sph_stab_ros.operator.protocol import (  # noqa: E402
     COMMANDS, Look, parse_command, picture_message, ProtocolError)
 
@@ -100,6 +100,40 @@ def test_a_camera_without_stamps_gets_the_newest_picture():
     pairing.add_orientation(99, orientation(99))
     assert [(one.data, one.orientation) for one in emitted] == [
         (picture(0, 3).data, orientation(99))]
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_both_orientations_of_a_stamp_come_together(seed):
+    """Each topic keeps its order, one hardly before the other; one is heard later at first."""
+    rng = np.random.default_rng(seed)
+    complete = []
+    stamped = StampedOrientations(lambda stamp_ns, both: complete.append((stamp_ns, both)))
+    camera, virtual = (list(range(first, 200)) for first in rng.integers(0, 20, 2))
+    while camera or virtual:
+        ahead = len(virtual) - len(camera)
+        first = rng.random() < 0.5 if abs(ahead) < MAX_WAITING else ahead < 0
+        kind, left = ('R_world_camera', camera) if first else ('R_world_virtual', virtual)
+        if left:
+            n = left.pop(0)
+            stamped.add(n, **{kind: (kind, n)})
+    assert complete[-1][0] == 199
+    for n, both in complete:
+        assert both == Orientation(('R_world_camera', n), ('R_world_virtual', n))
+    stamps_ns = [n for n, _ in complete]
+    assert stamps_ns == sorted(set(stamps_ns))
+
+
+def test_orientations_that_stay_alone_are_bounded_and_forgotten():
+    complete = []
+    stamped = StampedOrientations(lambda stamp_ns, both: complete.append(stamp_ns))
+    for n in range(10 * MAX_WAITING):
+        stamped.add(n, R_world_camera=n)
+    stamped.add(1, R_world_virtual=1)
+    assert not complete
+    stamped.add(n, R_world_virtual=n)
+    # Another loop of the same bag.
+    stamped.add(n - 1, R_world_virtual=n - 1)
+    assert complete == [n]
 
 
 # Protocol.

@@ -24,6 +24,8 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from sph_stab_ros.config import SmoothingConfig
+from sph_stab_ros.stabilization.smoothing import Smoother
 from synthetic import angle_deg
 from tiny_recordings import stamps_of, turning_spheres
 
@@ -125,6 +127,31 @@ def test_pictures_and_orientations_belong_together(robot, pictures):
         image = cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_COLOR)
         assert np.mean(cv2.absdiff(image, expected)) < 5
     assert len({header['stamp_ns'] for header, _ in got}) == len(got)
+
+
+def test_the_virtual_camera_is_the_node_s_whenever_the_server_comes(tmp_path):
+    """It has turned with the camera for a while; what it was turned by, the node knows."""
+    domain, smoothing = next(DOMAINS), SmoothingConfig('follow', 5.)
+    spheres, _ = turning_spheres(20)
+    stamps_ns = iter(stamps_of(1000))
+    mode = '-p', 'smoothing.mode:=follow', '-p', 'smoothing.time_constant_s:=5.0'
+    with stabilizer(tmp_path, *mode, domain=domain) as peer:
+        for sphere in spheres:
+            peer.stabilize(sphere, next(stamps_ns))
+        server = operator('--port', '0', domain=domain)
+        try:
+            got = received_pictures(
+                server.stdout.readline().split()[-1], 4,
+                lambda: peer.stabilize(spheres[-1], next(stamps_ns)))
+        finally:
+            server.send_signal(signal.SIGINT)
+            assert server.wait(TIMEOUT_S) == 0
+        smoother = Smoother()
+        virtual = {stamp_ns(msg): smoother.update(smoothing, stamp_ns(msg), rotation(msg))
+                   for msg in peer.received['orientation']}
+    for header, _ in got:
+        R_world_virtual = Rotation.from_quat(header['orientation']['R_world_virtual'])
+        assert angle_deg(R_world_virtual, virtual[int(header['stamp_ns'])]) < 1e-3
 
 
 def test_the_stabilizer_s_refusal_is_told(tmp_path):

@@ -91,7 +91,8 @@ def test_pictures_cost_nothing_while_nobody_subscribes(tmp_path):
             seen = []
             unsubscribe = peer.subscribe(Image, topic, seen.append)
             peer.spin_for(SETTLING_S)
-            assert warping_percent(peer) > 0 and len(seen) >= 4
+            # Each gives way to a newer one where drawing takes longer than tracking.
+            assert warping_percent(peer) > 0 and seen
             unsubscribe()
             peer.spin_for(SETTLING_S)
             assert warping_percent(peer) == 0
@@ -136,8 +137,9 @@ def test_nothing_is_said_on_tf_of_images_without_a_frame(tmp_path):
 
 
 def test_qos_is_that_of_sensor_data_unless_parameters_say_otherwise(tmp_path):
-    outputs = ('/orientation', '/orientation_covariance', '/stabilized/image', '/view/image',
-               '/view/image/compressed', '/view/camera_info', '/diagnostics')
+    outputs = ('/orientation', '/virtual_orientation', '/orientation_covariance',
+               '/stabilized/image', '/view/image', '/view/image/compressed', '/view/camera_info',
+               '/diagnostics')
     overridden = '/stabilized/image/compressed'
     with stabilizer(
             tmp_path, '-p', f'qos_overrides.{overridden}.publisher.reliability:=best_effort',

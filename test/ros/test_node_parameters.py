@@ -16,6 +16,7 @@ import sys
 import numpy as np
 import pytest
 from sph_stab_ros.config import NODE_PARAMETERS
+from sph_stab_ros.replay import arguments as replay_arguments
 from synthetic import angle_deg
 from tiny_recordings import stamps_of, turning_spheres
 
@@ -23,6 +24,7 @@ rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
 from rclpy.context import Context  # noqa: E402
 from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
+from sph_stab_ros.ros.parameters import declare_parameters  # noqa: E402
 
 DEFAULTS = Path(__file__).resolve().parents[2] / 'config' / 'stabilizer.yaml'
 
@@ -139,6 +141,38 @@ def start(*arguments):
     return subprocess.run(
         [sys.executable, '-m', 'sph_stab_ros.stabilizer', *arguments], text=True, timeout=60,
         env={**os.environ, 'ROS_DOMAIN_ID': str(next(DOMAINS))}, capture_output=True)
+
+
+FILE = """\
+/**:
+  ros__parameters: {use_sim_time: false, jpeg_quality: 50, front: {width: 100}}
+stabilizer:
+  ros__parameters:
+    views: [front, rear]
+    estimator: moment
+    publish_tf: no
+    fisheye: {front.k1: 0.01, rear: {yaw_deg: 170.0}}
+    smoothing.mode: follow
+    rear: {yaw_deg: 180.0, frame_id: behind}
+    view: {width: 99}
+"""
+
+
+@pytest.mark.parametrize('words', ((), ('-p', 'level:=imu', '-p', 'rear.height:=77')))
+def test_a_file_gives_the_node_what_it_gives_to_replay(tmp_path, words):
+    file = tmp_path / 'robot.yaml'
+    file.write_text(FILE)
+    words = ['--params-file', str(file), *words]
+    context = Context()
+    rclpy.init(context=context, domain_id=next(DOMAINS), args=['node', '--ros-args', *words])
+    node = rclpy.create_node('stabilizer', context=context)
+    settings = declare_parameters(node)
+    node.destroy_node()
+    context.try_shutdown()
+    assert settings == replay_arguments(['rec', *words])[1]
+    assert settings.views['rear'].frame_id == 'behind'
+    assert settings.config.fisheye.rear.yaw_deg == 170
+    assert not settings.config.publish_tf
 
 
 def test_misspelt_parameters_are_named(tmp_path):

@@ -17,21 +17,24 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.warp import perspective_view
+from sph_stab_ros.images.codec import fill_image
+from sph_stab_ros.recording.messages import camera_info, orientation, pose
 from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.stabilization.steering import Rates
+from tiny_recordings import textured_sphere
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
 from geometry_msgs.msg import (  # noqa: E402, I100
     Quaternion, QuaternionStamped, Twist, Vector3)
 from node_harness import DOMAINS  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
 from sph_stab_ros.ros import diagnostics  # noqa: E402
 from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
 from sph_stab_ros.ros.messages import (  # noqa: E402
-    orientation_message, pose_message, rates_from_twist, rotation_from_message, view_camera_info)
+    make, rates_from_twist, rotation_from_message)
 from sph_stab_ros.stabilizer import StabilizerNode  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
 
 
 def test_mailbox_keeps_the_newest_and_counts_the_others():
@@ -104,12 +107,12 @@ def test_directions_need_a_unit_quaternion(quaternion):
 
 def test_rotations_survive_the_message():
     for R in Rotation.random(10, random_state=0):
-        msg = orientation_message(Header(), R)
+        msg = orientation(make, 5, 'world', R)
         assert (rotation_from_message(msg).inv() * R).magnitude() < 1e-9
 
 
 def test_camera_info_projects_what_the_view_shows():
-    info = view_camera_info(Header(frame_id='view'), np.deg2rad(70), (300, 200))
+    info = camera_info(make, 5, 'view', np.deg2rad(70), (300, 200))
     # A view of the sphere of all bearings shows those of its own pixels.
     bearings = perspective_view(
         bearing_grid(2048), Rotation.identity(), np.deg2rad(70), (300, 200)).reshape(-1, 3)
@@ -122,7 +125,7 @@ def test_camera_info_projects_what_the_view_shows():
 
 def test_covariances_are_about_the_axes_of_the_world():
     covariance = np.diag((1., 2., 3.)) + 0.1
-    msg = pose_message(Header(), Rotation.identity(), covariance)
+    msg = pose(make, 5, 'world', Rotation.identity(), covariance)
     whole = np.reshape(msg.pose.covariance, (6, 6))
     assert np.array_equal(whole[3:, 3:], covariance)
     assert (np.diag(whole)[:3] >= 1e6).all() and not whole[:3, 3:].any()
@@ -153,20 +156,35 @@ def test_stages_share_the_cpu():
     assert meter.percentages()['work'] == 0
 
 
-def test_pictures_and_messages_are_made_for_subscribers_only():
-    stabilized = mock.Mock(spec=StabilizedFrame, covariance=np.eye(3), **dict.fromkeys(
-        ('R_world_camera', 'R_world_virtual', 'R_camera_virtual'), Rotation.identity()))
+@pytest.fixture
+def node():
+    """Return a StabilizerNode whose workers rest."""
     rclpy.init(args=[], domain_id=next(DOMAINS),
                signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:
         node = StabilizerNode()
-        with mock.patch('rclpy.publisher.Publisher.publish') as publish:
-            header = Header()
-            looks = node._outputs.publish_orientation(stabilized, header)
-            node._outputs.publish_pictures(stabilized, header.stamp, looks)
+        yield node
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
+
+
+def test_a_keyframe_that_fails_is_no_refusal_of_its_picture(node):
+    image = fill_image(Image(), textured_sphere(256))
+    with mock.patch.object(node._stabilizer, 'settle', side_effect=MemoryError('no room')):
+        node._safely(node._track, image, monotonic())
+    status = node._diagnostics.status(dropped=0, not_drawn=0)
+    values = {pair.key: pair.value for pair in status.values}
+    assert (values['frames'], values['refused'], status.message) == ('1', '0', 'ok')
+    assert values['notice: keyframe_failed'] == '1'
+
+
+def test_pictures_and_messages_are_made_for_subscribers_only(node):
+    stabilized = mock.Mock(spec=StabilizedFrame, frame=mock.Mock(frame_id='camera'), stamp_ns=5,
+                           covariance=np.eye(3), **dict.fromkeys(
+        ('R_world_camera', 'R_world_virtual', 'R_camera_virtual'), Rotation.identity()))
+    with mock.patch('rclpy.publisher.Publisher.publish') as publish:
+        node._outputs.publish(node._outputs.publish_orientation(stabilized))
     publish.assert_not_called()
     stabilized.sphere.assert_not_called()
     stabilized.view.assert_not_called()

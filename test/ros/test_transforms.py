@@ -6,95 +6,73 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Transforms: what tf2 makes of them is what the core says."""
+"""Transforms: published where tf2_msgs is installed and the images name their frame."""
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from sph_stab_ros.config import NodeConfig
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.tracking import TrackingStatus
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
-from builtin_interfaces.msg import Time  # noqa: E402, I100
-from sph_stab_ros.ros import transforms  # noqa: E402
-from sph_stab_ros.ros.transforms import camera_transforms, TransformPublisher  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
+from sph_stab_ros.ros import outputs  # noqa: E402, I100
+from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
+from sph_stab_ros.ros.parameters import Settings  # noqa: E402
 
-R_WORLD_CAMERA, R_WORLD_VIEW, R_WORLD_VIRTUAL = Rotation.random(3, random_state=5)
-HEADER = Header(stamp=Time(sec=5, nanosec=6), frame_id='theta')
-LEAVES = {'view': R_WORLD_VIEW, 'virtual': R_WORLD_VIRTUAL}
-
-
-def rotation(transform):
-    """Return the Rotation of a TransformStamped, which has no translation."""
-    t, q = transform.transform.translation, transform.transform.rotation
-    assert (t.x, t.y, t.z) == (0, 0, 0)
-    return Rotation.from_quat((q.x, q.y, q.z, q.w))
-
-
-def looked_up(messages, target, source):
-    """Return R_target_source as tf2 chains it: up from the source, then down to the target."""
-    parents = {msg.child_frame_id: (msg.header.frame_id, rotation(msg)) for msg in messages}
-
-    def from_root(frame):
-        R_root_frame = Rotation.identity()
-        while frame in parents:
-            frame, R_parent_frame = parents[frame]
-            R_root_frame = R_parent_frame * R_root_frame
-        return R_root_frame
-    return from_root(target).inv() * from_root(source)
-
-
-def test_looking_up_gives_the_rotations_of_the_core():
-    messages = camera_transforms(HEADER, R_WORLD_CAMERA, 'world', LEAVES)
-    for target, source, expected in (
-            ('world', 'theta', R_WORLD_CAMERA),
-            ('theta', 'world', R_WORLD_CAMERA.inv()),
-            ('world', 'view', R_WORLD_VIEW),
-            ('theta', 'view', R_WORLD_CAMERA.inv() * R_WORLD_VIEW),
-            ('view', 'virtual', R_WORLD_VIEW.inv() * R_WORLD_VIRTUAL)):
-        found = looked_up(messages, target, source)
-        assert (found.inv() * expected).magnitude() < 1e-9
-
-
-def test_the_robot_s_tree_keeps_its_parents():
-    messages = camera_transforms(HEADER, R_WORLD_CAMERA, 'world', LEAVES)
-    children = [msg.child_frame_id for msg in messages]
-    assert sorted(children) == ['view', 'virtual', 'world']
-    assert [msg.header.frame_id for msg in messages] == ['theta', 'world', 'world']
-    assert all(msg.header.stamp == HEADER.stamp for msg in messages)
+CONFIG = NodeConfig()
 
 
 @pytest.fixture
-def publisher(monkeypatch):
-    """Return a TransformPublisher, what it publishes, and what it logs, without tf2_msgs."""
-    published, said = [], []
-    monkeypatch.setattr(transforms, 'TFMessage', SimpleNamespace)
-    monkeypatch.setattr(transforms, 'advertise', lambda *args, **kwargs: SimpleNamespace(
-        publish=published.append, get_subscription_count=lambda: 1))
-    log = SimpleNamespace(warning=lambda text, once: said.append(text), info=said.append)
-    return TransformPublisher(SimpleNamespace(get_logger=lambda: log), 'world'), published, said
+def node(monkeypatch):
+    """Return what Outputs need of a node, with what is ``published`` and ``said``, but no tf2."""
+    node = SimpleNamespace(published=[], said=[])
+
+    def message_type(name):
+        if name.startswith('tf2'):
+            raise ImportError(name)
+        return SimpleNamespace
+
+    def advertise(_, msg_type, topic, depth):
+        return SimpleNamespace(publish=lambda msg: node.published.append((topic, msg)),
+                               get_subscription_count=lambda: topic == '/tf')
+    monkeypatch.setattr(outputs, 'message_type', message_type)
+    monkeypatch.setattr(outputs, 'advertise', advertise)
+    monkeypatch.setattr(outputs, 'View', lambda *_: SimpleNamespace(camera=lambda: None))
+    monkeypatch.setattr(outputs, 'compressed_topic', lambda _, topic: f'{topic}/compressed')
+    monkeypatch.setattr(outputs, 'make', lambda name, **fields: SimpleNamespace(**fields))
+    node.get_logger = lambda: SimpleNamespace(
+        info=node.said.append, warning=lambda text, once: node.said.append(text))
+    return node
 
 
-def test_they_are_published_where_tf2_msgs_is(publisher):
-    publisher, published, said = publisher
-    assert publisher.wanted
-    publisher.publish(HEADER, R_WORLD_CAMERA, LEAVES)
-    assert [msg.child_frame_id for msg in published[0].transforms] == ['world', *LEAVES]
-    assert not said
+def publish(node, frame_id):
+    """Let Outputs without views publish a frame."""
+    settings = Settings(CONFIG, {})
+    stabilized = StabilizedFrame(Frame(np.zeros((64, 128), np.uint8), 5, frame_id),
+                                 Rotation.identity(), TrackingStatus.OK)
+    outputs.Outputs(node, settings, None, CpuMeter()).publish_orientation(stabilized)
 
 
-@pytest.mark.parametrize('frame_id', ('', 'world', 'view'))
-def test_no_frame_becomes_its_own_parent_or_hangs_in_the_air(publisher, frame_id):
-    publisher, published, said = publisher
-    publisher.publish(Header(frame_id=frame_id), R_WORLD_CAMERA, LEAVES)
-    assert not published
-    assert said == [f"no transforms on /tf: the images have the frame_id '{frame_id}'"]
+def test_they_are_published_where_tf2_msgs_is(node, monkeypatch):
+    monkeypatch.setattr(outputs, 'message_type', lambda name: SimpleNamespace)
+    publish(node, 'theta')
+    (topic, msg), = node.published
+    assert topic == '/tf' and len(msg.transforms) == 2
+    assert not node.said
 
 
-def test_without_tf2_msgs_nobody_can_want_them(monkeypatch):
-    monkeypatch.setattr(transforms, 'TFMessage', None)
-    said = []
-    log = SimpleNamespace(info=said.append)
-    publisher = TransformPublisher(SimpleNamespace(get_logger=lambda: log), 'world')
-    assert not publisher.wanted
-    assert said == ['no transforms on /tf: tf2_msgs is not installed']
+def test_images_without_a_frame_are_named(node, monkeypatch):
+    monkeypatch.setattr(outputs, 'message_type', lambda name: SimpleNamespace)
+    publish(node, '')
+    assert not node.published
+    assert node.said == ["no transforms on /tf: the images have the frame_id ''"]
+
+
+def test_without_tf2_msgs_nobody_can_want_them(node):
+    publish(node, 'theta')
+    assert not node.published
+    assert node.said == ['no transforms on /tf: tf2_msgs is not installed']

@@ -57,6 +57,20 @@ def write_bag(path, images, stamps_ns=None, topic=IMAGE_TOPIC):
     return path
 
 
+def write_imu(bag, topic, sample, received_ns=None, **fields):
+    """Write an ImuSample, or what is like one, as a sensor_msgs Imu into a BagWriter."""
+    def vector(values):
+        return bag.type('geometry_msgs/msg/Vector3')(**dict(zip('xyz', map(float, values))))
+    covariances = {f'{name}_covariance': np.zeros(9) for name in (
+        'orientation', 'angular_velocity', 'linear_acceleration')}
+    bag.write(topic, bag.type('sensor_msgs/msg/Imu')(**{
+        'header': bag.header(sample.stamp_ns, 'imu'),
+        'orientation': bag.type('geometry_msgs/msg/Quaternion')(x=0., y=0., z=0., w=1.),
+        'angular_velocity': vector(sample.angular_velocity_rad_s),
+        'linear_acceleration': vector(sample.specific_force_m_s2), **covariances, **fields}),
+        sample.stamp_ns if received_ns is None else received_ns)
+
+
 def write_video(path, images, stamps_ns=None):
     """Write an MP4 file; return the path."""
     from sph_stab_ros.recording.video_writer import VideoWriter

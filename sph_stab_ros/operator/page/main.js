@@ -6,28 +6,16 @@
 import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
+import {$, showNotice, showSituation, showState} from './panels.js';
 import {rendererFor} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
-import {situation} from './situation.js';
 
-const $ = id => document.getElementById(id);
 const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
 const SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
-const NOTICE_MS = 5000;
-// Nobody steers well by what is older.
-const LATE_MS = 400;
 const MAX_PIXEL_RATIO = 2;
 // Without a graphics card, fewer pixels sooner rather than all of them later: 640 columns show
 // 100° of a picture of 2048 without loss.
 const SLOW_SHARE = 0.5;
-// Until the stabilizer is heard for the first time.
-const DEFAULT_MODES = ['lock'];
-const MODE_HELP = {
-  lock: 'The world stands still',
-  follow: 'The view follows slow turns of the robot',
-  yaw_follow: 'Level, and the heading follows slow turns of the robot',
-};
-
 const NO_CONTROL = {
   none: 'No connection.',
   free: 'Nobody steers: take control first.',
@@ -50,7 +38,7 @@ const state = {
   // The angles on the instruments.
   shown: '',
 };
-let renderer, waiting = null, drawRequested = false, noticeTimer, lookTimer, lookedAt = 0;
+let renderer, waiting = null, drawRequested = false, lookTimer, lookedAt = 0;
 
 // Drawing.
 
@@ -143,87 +131,13 @@ function takeState(told) {
   const taken = told.control === 'yours' && state.control !== 'yours';
   Object.assign(state, told);
   if (taken && state.moved) sendLook();
-  showState();
-}
-
-function showState() {
-  const {control, robot, rate_hz, latency_ms} = state;
-  const figure = (value, unit) => value === null ? '–' : `${Math.round(value)} ${unit}`;
-  $('rate').textContent = figure(rate_hz, '/s');
-  $('latency').textContent = figure(latency_ms, 'ms');
-  $('latency').classList.toggle('late', latency_ms > LATE_MS);
-  $('estimates').textContent = figure(robot?.tracking ? robot.rate_hz : null, '/s');
-  $('estimator').textContent = robot?.tracking || '–';
-  $('control').classList.toggle('hidden', control === 'yours' || control === 'none');
-  $('control').firstElementChild.textContent = control === 'taken'
-    ? 'Watching: another operator steers.' : 'Nobody steers.';
-  for (const [id, possible] of [['reset', robot?.can_reset], ['level', robot?.can_level]]) {
-    // Unlike a disabled button one can still come to it by keyboard and hear why it does nothing.
-    $(id).setAttribute('aria-disabled', control !== 'yours' || !possible);
-  }
-  // The mode asked for is shown at once, until the answer is there.
-  showModes(robot?.modes ?? [], state.wantedMode ?? robot?.mode, control === 'yours');
-  showSituation();
-}
-
-function showModes(modes, mode, steering) {
-  const box = $('modes');
-  const names = modes.length ? modes : box.dataset.names?.split(',') ?? DEFAULT_MODES;
-  if (box.dataset.names !== names.join()) {
-    box.dataset.names = names.join();
-    box.replaceChildren(box.firstElementChild, ...names.map(name => {
-      const label = document.createElement('label');
-      const input = Object.assign(document.createElement('input'),
-                                  {type: 'radio', name: 'mode', value: name});
-      const text = document.createElement('span');
-      text.textContent = name[0].toUpperCase() + name.slice(1).replaceAll('_', ' ');
-      label.title = `${MODE_HELP[name] ?? text.textContent} (M: next mode)`;
-      label.append(input, text);
-      return label;
-    }));
-  }
-  for (const input of box.querySelectorAll('input')) {
-    if (mode) input.checked = input.value === mode;
-    input.disabled = !steering || !modes.length;
-  }
+  showState(state);
 }
 
 function takeNotice({text, ok, done}) {
   state.wantedMode = null;
   if (done === 'ResetHeading') look.centre();
-  show(text, ok);
-}
-
-function show(text, ok = true) {
-  const box = $('notice');
-  box.textContent = text;
-  box.classList.toggle('refusal', !ok);
-  box.classList.remove('hidden');
-  clearTimeout(noticeTimer);
-  noticeTimer = setTimeout(() => box.classList.add('hidden'), NOTICE_MS);
-}
-
-function showSituation() {
-  const now = situation({...state, now: performance.now()});
-  document.documentElement.dataset.situation = now.name;
-  document.documentElement.classList.toggle('alarmed', Boolean(now.alarm));
-  // What the alarm says need not be said twice.
-  $('status').setAttribute('aria-live', now.alarm ? 'off' : 'polite');
-  setText($('status').querySelector('span'), now.text);
-  setIcon($('status'), now.icon);
-  $('alarm').classList.toggle('hidden', !now.alarm);
-  setText($('alarm').querySelector('strong'), now.alarm ? now.text : '');
-  setText($('since'), now.alarm && now.since || '');
-  setText($('alarm').querySelector('span'), now.alarm ? now.detail : '');
-}
-
-// Only changes are read out.
-function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
-}
-
-function setIcon(element, icon) {
-  element.querySelector('use').setAttribute('href', `#${icon}`);
+  showNotice(text, ok);
 }
 
 // What the operator does.
@@ -231,7 +145,7 @@ function setIcon(element, icon) {
 // Asks the robot for something, or says why it would be in vain; tells whether it has asked.
 function ask(command, possible, values) {
   if (state.control === 'yours' && possible) return connection.send(command, values);
-  show(state.control !== 'yours' ? NO_CONTROL[state.control]
+  showNotice(state.control !== 'yours' ? NO_CONTROL[state.control]
     : state.robot.tracking ? 'This stabilizer does not offer that.'
       : 'The stabilizer does not answer.', false);
   return false;
@@ -239,7 +153,7 @@ function ask(command, possible, values) {
 
 function setMode(mode) {
   if (ask('set_mode', state.robot?.modes.length, {mode})) state.wantedMode = mode;
-  showState();
+  showState(state);
 }
 
 function nextMode() {
@@ -248,7 +162,7 @@ function nextMode() {
 }
 
 function takeControl() {
-  if (!connection.send('take_control')) show(NO_CONTROL.none, false);
+  if (!connection.send('take_control')) showNotice(NO_CONTROL.none, false);
   state.moved = true;
   canvas.focus();
 }
@@ -256,7 +170,7 @@ function takeControl() {
 function toggleRaw() {
   state.raw = !state.raw;
   $('before').setAttribute('aria-pressed', state.raw);
-  showSituation();
+  showSituation(state);
   requestDraw();
 }
 
@@ -295,13 +209,13 @@ try {
     open: () => Object.assign(state, {connectedAt: performance.now(), reason: ''}),
     closed: reason => {
       Object.assign(state, UNTOLD, {connectedAt: null, pictureAt: null, reason});
-      showState();
+      showState(state);
     },
   });
-  setInterval(showSituation, SITUATION_PERIOD_MS);
+  setInterval(() => showSituation(state), SITUATION_PERIOD_MS);
 } catch (error) {
   state.failure = error.message;
-  showSituation();
+  showSituation(state);
 }
 
 for (const [id, action] of Object.entries(actions)) $(id).addEventListener('click', action);

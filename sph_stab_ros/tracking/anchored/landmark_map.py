@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
+from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
 from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Window
 from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, PatchStore
@@ -147,7 +148,8 @@ class LandmarkMap:
         R = R_new_old.as_matrix()
         for one in self.keyframes:
             one.R, one.position = R @ one.R, R @ one.position
-            one.covariance = R @ one.covariance @ R.T + added_variance * np.eye(3)
+            one.covariance = (rotate_covariance(one.covariance, R_new_old)
+                              + added_variance * np.eye(3))
         self._known_poses = None
 
     def add_landmarks(self, grey, pyramid, usable):

@@ -10,15 +10,13 @@
 
 from typing import Any
 
-from scipy.spatial.transform import Rotation
-
-from sph_stab_ros.geometry.arrays import Grey, Mask, Vector
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.images.texture import has_texture
 from sph_stab_ros.tracking.base import (
     GyroRotation, no_gyro, TrackedOrientation, TrackingStatus)
 from sph_stab_ros.tracking.frame_to_frame.image_pair import (
     ImagePair, Method, METHODS, Sphere)
+from sph_stab_ros.tracking.motion_model import MotionModel
 
 
 class FrameToFrameTracker:
@@ -55,53 +53,36 @@ class FrameToFrameTracker:
     def reset(self) -> None:
         """Forget everything: the next frame's orientation is the new world."""
         self._reference: Sphere | None = None
-        # Of no meaning before there is a reference.
-        self._reference_stamp_ns = 0
-        self._R_world_reference = Rotation.identity()
-        self._angular_velocity_rad_s: Vector | None = None
+        self._motion = MotionModel(self._max_prediction_s, self._turn_between)
 
     def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
         """Return the TrackedOrientation of the next grey sphere."""
         if not has_texture(grey):
             return self._predicted(stamp_ns)
-        current = Sphere(grey, self._used)
+        motion, current = self._motion, Sphere(grey, self._used)
         if self._reference is None:
-            self._refer_to(current, stamp_ns, self._R_world_reference)
-            return TrackedOrientation(self._R_world_reference, TrackingStatus.OK)
+            self._reference = current
+            motion.reset(stamp_ns)
+            return TrackedOrientation(motion.R_world_camera, TrackingStatus.OK)
 
         estimate = self._estimate(ImagePair(self._reference, current, **self._pair_options))
         if estimate is None:
             held = self._predicted(stamp_ns)
             if held.status is TrackingStatus.LOST:
-                self._refer_to(current, stamp_ns, held.R_world_camera)
+                self._reference, motion.R_world_camera = current, held.R_world_camera
+                motion.reset(stamp_ns)
             return held
-        R_reference_camera = estimate.R_current_previous.inv()
-        elapsed_s = (stamp_ns - self._reference_stamp_ns) / NS_PER_S
-        self._angular_velocity_rad_s = (
-            R_reference_camera.as_rotvec() / elapsed_s if elapsed_s > 0 else None)
-        self._refer_to(current, stamp_ns, self._R_world_reference * R_reference_camera)
-        return TrackedOrientation(self._R_world_reference, TrackingStatus.OK)
+        self._reference = current
+        motion.update(stamp_ns, motion.R_world_camera * estimate.R_current_previous.inv(),
+                      motion.position)
+        return TrackedOrientation(motion.R_world_camera, TrackingStatus.OK)
 
     def settle(self) -> None:
         """Do nothing: nothing is put off."""
 
-    def _refer_to(self, sphere: Sphere, stamp_ns: int, R_world_reference: Rotation) -> None:
-        self._reference = sphere
-        self._reference_stamp_ns = stamp_ns
-        self._R_world_reference = R_world_reference
-
     def _predicted(self, stamp_ns: int) -> TrackedOrientation:
         """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
-        turn = (None if self._reference is None
-                else self._turn_between(self._reference_stamp_ns, stamp_ns))
-        if turn is not None:
-            return TrackedOrientation(self._R_world_reference * turn, TrackingStatus.PREDICTED)
-        if self._angular_velocity_rad_s is None:
-            return TrackedOrientation(self._R_world_reference, TrackingStatus.LOST)
-        elapsed_s = (stamp_ns - self._reference_stamp_ns) / NS_PER_S
-        in_time = 0 <= elapsed_s <= self._max_prediction_s
-        trusted_s = min(max(elapsed_s, 0), self._max_prediction_s)
-        turn = Rotation.from_rotvec(self._angular_velocity_rad_s * trusted_s)
+        motion = self._motion
         return TrackedOrientation(
-            self._R_world_reference * turn,
-            TrackingStatus.PREDICTED if in_time else TrackingStatus.LOST)
+            motion.R_world_camera * motion.predicted_rotation(stamp_ns),
+            TrackingStatus.PREDICTED if motion.is_predictable(stamp_ns) else TrackingStatus.LOST)

@@ -4,7 +4,7 @@
 # What this package uses of SciPy's rotations. SciPy has no types for a checker, the package of
 # stubs beside it follows no more than one version of Python and NumPy.
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from numpy import float64
@@ -33,6 +33,7 @@ class Rotation:
     def magnitude(self) -> Any: ...
     def __mul__(self, other: Rotation) -> Rotation: ...
     def __getitem__(self, index: int | slice | NDArray[Any]) -> Rotation: ...
+    def __iter__(self) -> Iterator[Rotation]: ...
     def __len__(self) -> int: ...
 
 class Slerp:

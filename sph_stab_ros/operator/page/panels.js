@@ -1,0 +1,97 @@
+// Copyright 2026 The sph_stab_ros developers
+// SPDX-License-Identifier: Apache-2.0
+
+// What stands around the picture: figures, buttons, modes, the situation and notices.
+
+import {situation} from './situation.js';
+
+export const $ = id => document.getElementById(id);
+const NOTICE_MS = 5000;
+// Nobody steers well by what is older.
+const LATE_MS = 400;
+// Until the stabilizer is heard for the first time.
+const DEFAULT_MODES = ['lock'];
+const MODE_HELP = {
+  lock: 'The world stands still',
+  follow: 'The view follows slow turns of the robot',
+  yaw_follow: 'Level, and the heading follows slow turns of the robot',
+};
+
+let noticeTimer;
+
+// Shows what the server tells.
+export function showState(state) {
+  const {control, robot, rate_hz, latency_ms} = state;
+  const figure = (value, unit) => value === null ? '–' : `${Math.round(value)} ${unit}`;
+  $('rate').textContent = figure(rate_hz, '/s');
+  $('latency').textContent = figure(latency_ms, 'ms');
+  $('latency').classList.toggle('late', latency_ms > LATE_MS);
+  $('estimates').textContent = figure(robot?.tracking ? robot.rate_hz : null, '/s');
+  $('estimator').textContent = robot?.tracking || '–';
+  $('control').classList.toggle('hidden', control === 'yours' || control === 'none');
+  $('control').firstElementChild.textContent = control === 'taken'
+    ? 'Watching: another operator steers.' : 'Nobody steers.';
+  for (const [id, possible] of [['reset', robot?.can_reset], ['level', robot?.can_level]]) {
+    // Unlike a disabled button one can still come to it by keyboard and hear why it does nothing.
+    $(id).setAttribute('aria-disabled', control !== 'yours' || !possible);
+  }
+  // The mode asked for is shown at once, until the answer is there.
+  showModes(robot?.modes ?? [], state.wantedMode ?? robot?.mode, control === 'yours');
+  showSituation(state);
+}
+
+function showModes(modes, mode, steering) {
+  const box = $('modes');
+  const names = modes.length ? modes : box.dataset.names?.split(',') ?? DEFAULT_MODES;
+  if (box.dataset.names !== names.join()) {
+    box.dataset.names = names.join();
+    box.replaceChildren(box.firstElementChild, ...names.map(name => {
+      const label = document.createElement('label');
+      const input = Object.assign(document.createElement('input'),
+                                  {type: 'radio', name: 'mode', value: name});
+      const text = document.createElement('span');
+      text.textContent = name[0].toUpperCase() + name.slice(1).replaceAll('_', ' ');
+      label.title = `${MODE_HELP[name] ?? text.textContent} (M: next mode)`;
+      label.append(input, text);
+      return label;
+    }));
+  }
+  for (const input of box.querySelectorAll('input')) {
+    if (mode) input.checked = input.value === mode;
+    input.disabled = !steering || !modes.length;
+  }
+}
+
+// Shows for a while what came of a request.
+export function showNotice(text, ok = true) {
+  const box = $('notice');
+  box.textContent = text;
+  box.classList.toggle('refusal', !ok);
+  box.classList.remove('hidden');
+  clearTimeout(noticeTimer);
+  noticeTimer = setTimeout(() => box.classList.add('hidden'), NOTICE_MS);
+}
+
+// Shows whether the picture can be steered by, and since when not.
+export function showSituation(state) {
+  const now = situation({...state, now: performance.now()});
+  document.documentElement.dataset.situation = now.name;
+  document.documentElement.classList.toggle('alarmed', Boolean(now.alarm));
+  // What the alarm says need not be said twice.
+  $('status').setAttribute('aria-live', now.alarm ? 'off' : 'polite');
+  setText($('status').querySelector('span'), now.text);
+  setIcon($('status'), now.icon);
+  $('alarm').classList.toggle('hidden', !now.alarm);
+  setText($('alarm').querySelector('strong'), now.alarm ? now.text : '');
+  setText($('since'), now.alarm && now.since || '');
+  setText($('alarm').querySelector('span'), now.alarm ? now.detail : '');
+}
+
+// Only changes are read out.
+function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function setIcon(element, icon) {
+  element.querySelector('use').setAttribute('href', `#${icon}`);
+}

@@ -1,0 +1,102 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A bag of results holds what the node publishes of the same pictures, to the last byte."""
+
+from collections import defaultdict
+from contextlib import ExitStack
+from time import monotonic
+from unittest import mock
+
+import pytest
+from sph_stab_ros.config import NodeConfig, SmoothingConfig, ViewConfig
+from sph_stab_ros.recording import open_recording
+from sph_stab_ros.replay import bag_sink
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.recording_loop import stabilize_recording
+from tiny_recordings import IMAGE_TOPIC, turning_spheres, write_bag
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
+from node_harness import DOMAINS  # noqa: E402, I100
+from rclpy.publisher import Publisher  # noqa: E402
+from sensor_msgs.msg import CompressedImage  # noqa: E402
+from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
+from sph_stab_ros.stabilizer import StabilizerNode  # noqa: E402
+
+CONFIG = NodeConfig(
+    view=ViewConfig(yaw_deg=90., pitch_deg=10., hfov_deg=60., width=200),
+    smoothing=SmoothingConfig('follow', 0.3), views=('view', 'rear'), front_marker='all',
+    front_yaw_deg=20., jpeg_quality=40)
+ARGUMENTS = [
+    'view.yaw_deg:=90.0', 'view.pitch_deg:=10.0', 'view.hfov_deg:=60.0', 'view.width:=200',
+    'smoothing.mode:=follow', 'smoothing.time_constant_s:=0.3', 'views:=[view, rear]',
+    'front_marker:=all', 'front_yaw_deg:=20.0', 'jpeg_quality:=40']
+# Where tf2_msgs is installed only, which the node can do without, and bags have by themselves.
+TF = '/tf'
+
+
+@pytest.fixture(scope='module')
+def camera_bag(tmp_path_factory):
+    """Return a bag of a camera that turns."""
+    images, _ = turning_spheres(6)
+    return write_bag(tmp_path_factory.mktemp('camera') / 'bag', images)
+
+
+@pytest.fixture(scope='module')
+def result(camera_bag, tmp_path_factory):
+    """Return the bag of results."""
+    path = tmp_path_factory.mktemp('result') / 'bag'
+    with ExitStack() as stack:
+        stabilize_recording(open_recording(camera_bag), Stabilizer(CONFIG),
+                            [bag_sink(path, False, stack, CONFIG)], pictures=True)
+    return open_recording(path, 'stabilized/image/compressed')
+
+
+@pytest.fixture(scope='module')
+def published(camera_bag):
+    """Return the messages that a node publishes for which everybody listens, by topic."""
+    messages = defaultdict(list)
+
+    def publish(publisher, msg):
+        messages[publisher.topic_name.removeprefix('/')].append(msg)
+    rclpy.init(args=['--ros-args', *(word for one in ARGUMENTS for word in ('-p', one))],
+               domain_id=next(DOMAINS),
+               signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    try:
+        node = StabilizerNode()
+        with mock.patch.object(Publisher, 'publish', publish), \
+                mock.patch.object(Publisher, 'get_subscription_count', lambda _: 1):
+            for _, recorded in open_recording(camera_bag).messages(IMAGE_TOPIC):
+                node._track(copy_fields(recorded, CompressedImage()), monotonic())
+                node._draw(*node._drawing._mailbox.get())
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+    return messages
+
+
+def test_the_bag_has_the_node_s_topics(result, published):
+    raw = {topic for topic in published if topic.endswith('/image')}
+    assert len(raw) == 3
+    assert result.topics.keys() - {TF} == published.keys() - raw - {TF.removeprefix('/')}
+
+
+def test_the_bag_s_messages_are_the_node_s(result, published):
+    for topic in published.keys() & result.topics.keys():
+        of_the_bag = [copy_fields(msg, message_type(result.topics[topic])())
+                      for _, msg in result.messages(topic)]
+        assert of_the_bag == published[topic], topic
+
+
+def test_the_bag_s_transforms_lead_from_the_camera_to_all_else(result):
+    heard = [msg.transforms for _, msg in result.messages(TF)]
+    assert len(heard) == 6
+    for transforms in heard:
+        assert [(one.header.frame_id, one.child_frame_id) for one in transforms] == [
+            ('theta_camera', 'stabilized_optical'), ('stabilized_optical', 'virtual_optical'),
+            ('stabilized_optical', 'view_optical'), ('stabilized_optical', 'rear_optical')]
