@@ -243,6 +243,7 @@ def test_colcon_installs_a_replay_that_runs(workspace):
     assert '--trajectory' in output
 
 
+@pytest.mark.ros
 def test_colcon_installs_a_node_that_runs(workspace):
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     # Alone in its domain, out of the way of a robot's nodes.

@@ -326,7 +326,9 @@ def test_as_a_process_it_says_nothing_but_its_result(turning_bag, tmp_path):
     assert (process.returncode, out, len(error.splitlines())) == (1, '', 1)
 
 
-@pytest.mark.parametrize('name', ['drone', 'pioneer'])
+@pytest.mark.parametrize('name', [
+    pytest.param('drone', marks=pytest.mark.slow),
+    pytest.param('pioneer', marks=pytest.mark.thorough)])
 def test_the_simulated_recordings_come_out_as_the_truth_says(name, tmp_path):
     """Trajectory and bag of a whole recording against its truth."""
     recording = open_recording(BAGS / name)
