@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
-from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION, inlier_mask
+from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
 from sph_stab_ros.tracking.anchored.localization import (
     GOOD_PREDICTION_RAD, Localization, look_along, MAX_ATTEMPTS, MIN_POINTS)
 from sph_stab_ros.tracking.anchored.pose_hypotheses import (
@@ -40,7 +41,7 @@ SAME_RAD = np.deg2rad(0.02)
 TEMPERATURE = 4.
 
 
-class Start:
+class MapInitializer:
     """
     The landmarks of a map's only keyframe, and the poses that may be the last frame's.
 
