@@ -9,9 +9,11 @@
 """A Frame that is a JPEG file: only as much of it is decoded as somebody asks for."""
 
 from struct import error, unpack_from
+from typing import Any
 
 import cv2
 
+from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.images.codec import (
     decoded, image_from_message, ImageError, JPEG, kind_of_whole_file)
 from sph_stab_ros.images.frame import Frame
@@ -24,7 +26,7 @@ REDUCED_GREY = {
 FRAME_HEADERS = {*range(0xc0, 0xd0)} - {0xc4, 0xc8, 0xcc}
 
 
-class JpegFrame:
+class JpegFrame(Frame):
     """
     A Frame whose image is decoded when it is asked for, and less of it for tracking.
 
@@ -33,40 +35,47 @@ class JpegFrame:
 
     Parameters
     ----------
-    data : bytes
+    data
         A JPEG file; ImageError where it is no whole one.
     stamp_ns, frame_id
         As Frame's.
 
     """
 
-    def __init__(self, data, stamp_ns, frame_id=''):
+    def __init__(self, data: bytes, stamp_ns: int, frame_id: str = '') -> None:
+        # A Frame is not assigned to, and its own __init__ would ask for the image.
+        object.__setattr__(self, 'stamp_ns', stamp_ns)
+        object.__setattr__(self, 'frame_id', frame_id)
         self._data = data
-        self.stamp_ns, self.frame_id = stamp_ns, frame_id
-        self.size_wh = jpeg_size(data)
-        self._image = None
+        self._size_wh = jpeg_size(data)
+        self._image: Image | None = None
 
     @property
-    def image(self):
-        """Return the whole picture, (H, W, 3) uint8 in BGR order or (H, W)."""
+    def image(self) -> Image:
+        """Return the whole picture."""
         if self._image is None:
             self._image = decoded(self._data, JPEG)
         return self._image
 
-    def load(self):
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height of the image in pixels."""
+        return self._size_wh
+
+    def load(self) -> None:
         """Decode the whole picture, which then serves ``at_least`` too."""
         self.image
 
-    def at_least(self, width):
+    def at_least(self, width: int) -> Image:
         """Return the picture, a smaller and grey one where nobody wanted the whole so far."""
         if self._image is not None:
             return self._image
         reduction = next(
-            (one for one in REDUCED_GREY if self.size_wh[0] >= one * width), 1)
+            (factor for factor in REDUCED_GREY if self._size_wh[0] >= factor * width), 1)
         return decoded(self._data, JPEG, REDUCED_GREY[reduction])
 
 
-def jpeg_size(data):
+def jpeg_size(data: bytes) -> tuple[int, int]:
     """Return width and height from the frame header of a JPEG file (ITU-T T.81, B.2.2)."""
     # Behind the start of the image.
     at = 2
@@ -85,7 +94,7 @@ def jpeg_size(data):
         raise ImageError(f'corrupt {JPEG}', 'there is no frame header') from None
 
 
-def frame_from_message(msg, stamp_ns, frame_id=''):
+def frame_from_message(msg: Any, stamp_ns: int, frame_id: str = '') -> Frame:
     """Return the Frame, or JpegFrame, of an Image or CompressedImage message."""
     if not hasattr(msg, 'encoding'):
         data = bytes(msg.data)
