@@ -33,7 +33,7 @@ from sph_stab_ros.geometry.arrays import Grey
 from sph_stab_ros.geometry.fisheye import fits
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, open_recording, Recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 
 from tqdm import tqdm
@@ -56,7 +56,7 @@ def spread_images(
     step = -(-total // PICTURES) if total else STEP
     greys: list[Grey] = []
     sizes: set[str] = set()
-    with closing(recording.frames()) as frames:
+    with closing(decoded_frames(recording)) as frames:
         for number, frame in enumerate(progress(islice(frames, max_frames))):
             if number % step or len(greys) == PICTURES:
                 continue
