@@ -55,7 +55,9 @@ class BagRecording:
         counts: Counter[str] = Counter()
         self.topics: dict[str, str] = {}
         for channel, count in self._containers.channels.items():
-            self.topics[channel.topic] = channel.msgtype
+            # A damaged definition may contradict a whole one.
+            if channel.topic not in self.topics or is_standard(channel.msgtype, channel.encoding):
+                self.topics[channel.topic] = channel.msgtype
             counts[channel.topic] += count
         if not self.topics:
             raise RecordingError(f'{path} is not a readable bag: it holds no messages; damaged, '
@@ -95,7 +97,7 @@ class BagRecording:
             raise RecordingError(f'{self.path} has no topic {topic}; it has {self._listed()}')
         for channel, received_ns, data in self._whole_part(topic):
             try:
-                msg = decoded(channel, data)
+                msg = decoded(data, self.topics[topic], channel.encoding)
             # A damaged message makes the decoder fail in many ways.
             except Exception as error:
                 self._skip_log.add('unreadable message', f'unreadable message: {error}')
@@ -104,10 +106,11 @@ class BagRecording:
 
     def _whole_part(self, topic: str) -> Iterator[tuple[Channel, int, bytes]]:
         """Yield what is whole of a topic's messages, then warn if that was not all."""
+        msgtype = self.topics[topic]
         for channel in self._containers.channels:
-            if channel.topic == topic and not is_standard(channel):
-                raise RecordingError(f'{topic} in {self.path} is of type {channel.msgtype}, '
-                                     f'encoded as {channel.encoding}, which is not a standard one')
+            if channel.topic == topic and not is_standard(msgtype, channel.encoding):
+                raise RecordingError(f'{topic} in {self.path} is of type {msgtype} (encoded as '
+                                     f'{channel.encoding}), which is not a standard one')
         count = 0
         damage: list[str] = []
         for message in self._containers.messages(topic, damage):
@@ -140,18 +143,15 @@ class BagRecording:
                          ) or 'no topics'
 
 
-def is_standard(channel: Channel) -> bool:
-    """Tell whether ROS's own definitions are enough to decode the messages of a channel."""
-    if channel.encoding not in ENCODINGS:
-        return False
-    store, _ = ENCODINGS[channel.encoding]
-    return channel.msgtype in types_of(store).types
+def is_standard(msgtype: str, encoding: str) -> bool:
+    """Tell whether ROS's own definitions are enough to decode messages of this type."""
+    return encoding in ENCODINGS and msgtype in types_of(ENCODINGS[encoding][0]).types
 
 
-def decoded(channel: Channel, data: bytes) -> Any:
+def decoded(data: bytes, msgtype: str, encoding: str) -> Any:
     """Return a message, which may be compressed by itself."""
-    store, decode = ENCODINGS[channel.encoding]
+    store, decode = ENCODINGS[encoding]
     # The encapsulation that CDR data begin with is never this.
-    if channel.encoding == 'cdr' and data.startswith(ZSTD):
+    if encoding == 'cdr' and data.startswith(ZSTD):
         data = zstd.decompress(data)
-    return getattr(types_of(store), decode)(data, channel.msgtype)
+    return getattr(types_of(store), decode)(data, msgtype)

@@ -65,11 +65,16 @@ class Containers:
     def messages(self, topic: str, damage: list[str]) -> Iterator[Message]:
         """Yield the messages of a topic; add to ``damage`` what is broken."""
         damage += self._damage
+        missing = sum(count for channel, count in self.channels.items() if channel.topic == topic)
         for part in self._parts:
             try:
-                yield from part.scan(damage, (topic,))
+                for message in part.scan(damage, (topic,)):
+                    yield message
+                    missing -= 1
             except OSError as error:
                 damage.append(str(error))
+        if missing > 0 and not damage:
+            damage.append(f'{missing} messages fewer than the index says')
 
     def _opened(self, path: Path) -> list[Part]:
         """Return the parts of the bag in their order."""

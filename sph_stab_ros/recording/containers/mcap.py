@@ -40,7 +40,7 @@ CANDIDATE = re.compile(rb'(?=[\x02-\x0f].{5}\0\0\0)', re.DOTALL)
 class McapFile(RecordFile):
     """An MCAP file, read front to back."""
 
-    START = len(MAGIC)
+    START, CHUNK, INNER = len(MAGIC), CHUNK, (SCHEMA, CHANNEL, MESSAGE)
 
     def index(self) -> Counter[Channel] | None:
         """Return the counts in the summary section, or None where it cannot be trusted."""
@@ -85,22 +85,25 @@ class McapFile(RecordFile):
                     if record.kind == CHUNK:
                         content = chunk_content(source, record, damage)
                         for kind, start, end in inner_records(content):
-                            yield from self._take(kind, content, start, end, types, topics)
+                            yield from self._take(
+                                kind, content, start, end, types, topics, damage)
                     elif record.kind in (SCHEMA, CHANNEL, MESSAGE):
                         content = source.read(record.content, record.end - record.content)
                         yield from self._take(
-                            record.kind, content, 0, len(content), types, topics)
+                            record.kind, content, 0, len(content), types, topics, damage)
                 except (Damaged, LookupError, ValueError, struct.error) as error:
                     damage.append(f'the record before byte {record.end}: {error}')
         damage.append('the end is missing')
 
     def _take(self, kind: int, content: bytes, start: int, end: int, types: dict[int, str],
-              topics: Collection[str] | None) -> Iterator[Message]:
+              topics: Collection[str] | None, damage: list[str]) -> Iterator[Message]:
         """Yield the message that a record holds, if it does; note what it defines."""
         if kind == MESSAGE:
             number, _, received_ns, _ = MESSAGE_HEAD.unpack_from(content, start)
             channel = self.known.get(number)
-            if channel is not None and (topics is None or channel.topic in topics):
+            if channel is None:
+                damage.append(f'a message of an unknown channel {number}')
+            elif topics is None or channel.topic in topics:
                 yield channel, received_ns, content[start + MESSAGE_HEAD.size:end]
         else:
             self._define(kind, content[start:end], types)
@@ -125,7 +128,7 @@ class McapFile(RecordFile):
             return None
         if kind == CHUNK:
             # Of one that was cut the first part may still be read.
-            return Record(kind, content, end, True) if is_chunk(
+            return Record(kind, content, end) if is_chunk(
                 source.read(content, 48), size) else None
         if end > source.size or size != FIXED.get(kind, size):
             return None
@@ -137,11 +140,10 @@ class McapFile(RecordFile):
         """Yield the positions at which a record might begin."""
         return (match.start() for match in CANDIDATE.finditer(window))
 
-    def is_record(self, source: Source, at: int) -> bool:
-        """Tell whether one surely begins at a candidate: another one follows."""
-        record = self.record_at(source, at)
-        if record is None or record.certain:
-            return record is not None
+    def is_sure(self, source: Source, record: Record) -> bool:
+        """Tell whether what looks like a record surely is one: another one follows."""
+        if record.kind == CHUNK:
+            return True
         if record.kind == MESSAGE and uint16(source.read(record.content, 2)) not in self.known:
             return False
         return (self.record_at(source, record.end) is not None or

@@ -84,22 +84,22 @@ class Record(NamedTuple):
     """
     Where a record's content lies; ``end`` is beyond the file's where that was cut.
 
-    ``certain`` if its length is confirmed by something else in it, ``fields`` where its header
-    has some.
+    ``fields`` is what its header has besides.
     """
 
     kind: int
     content: int
     end: int
-    certain: bool = False
     fields: Mapping[str, bytes] = {}
 
 
 class RecordFile(ABC):
     """A file that is a sequence of records: what it takes to go on behind a damaged one."""
 
-    # Where the first record begins.
+    # Where the first record begins, which kind holds others, and which kinds can be in those.
     START: ClassVar[int]
+    CHUNK: ClassVar[int]
+    INNER: ClassVar[Collection[int]]
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -118,32 +118,37 @@ class RecordFile(ABC):
         """Yield the positions at which a record might begin."""
 
     @abstractmethod
-    def is_record(self, source: Source, at: int) -> bool:
-        """Tell whether one surely begins at a candidate, in the midst of anything."""
+    def is_sure(self, source: Source, record: Record) -> bool:
+        """Tell whether what looks like a record, in the midst of anything, surely is one."""
 
     def records(self, source: Source, damage: list[str]) -> Iterator[Record]:
         """Yield all records; where there is none the next one is searched for."""
-        at, search_from = self.START, self.START + 1
+        at, search_from, in_chunk = self.START, self.START + 1, False
         while at < source.size:
             record = self.record_at(source, at)
             if record is None:
                 damage.append(f'no record at byte {at}')
-                found = self._next_record(source, search_from)
+                found = self._next_record(source, search_from, in_chunk)
                 if found is None:
                     return
-                at, search_from = found, found + 1
+                at, search_from, in_chunk = found, found + 1, False
                 continue
             yield record
-            # Where no record follows, the length of this one may be what is damaged.
-            search_from = record.end + 1 if record.certain else record.content
-            at = record.end
+            # Where no record follows, something may be missing from this one.
+            at, search_from, in_chunk = record.end, record.content, record.kind == self.CHUNK
+            if at > source.size:
+                at = self._next_record(source, search_from, in_chunk) or at
 
-    def _next_record(self, source: Source, at: int) -> int | None:
-        """Return where the next record begins, from ``at`` on."""
+    def _next_record(self, source: Source, at: int, in_chunk: bool) -> int | None:
+        """Return where the next record begins, from ``at`` on; none that is in a chunk."""
         while at < source.size:
             window = source.read(at, WINDOW + HEAD)
             for offset in self.candidates(window):
-                if offset < WINDOW and self.is_record(source, at + offset):
+                if offset >= WINDOW:
+                    continue
+                record = self.record_at(source, at + offset)
+                if record is not None and not (in_chunk and record.kind in self.INNER
+                                               ) and self.is_sure(source, record):
                     return at + offset
             at += WINDOW
         return None

@@ -33,7 +33,7 @@ OPERATION = re.compile(rb'\x04\0\0\0op=[\x02-\x07]')
 class Rosbag1File(RecordFile):
     """A ROS 1 bag, read front to back."""
 
-    START = len(MAGIC)
+    START, CHUNK, INNER = len(MAGIC), CHUNK, (MESSAGE, CONNECTION)
 
     def index(self) -> Counter[Channel] | None:
         """Return the counts in the index, or None where it is missing or contradicts itself."""
@@ -46,26 +46,33 @@ class Rosbag1File(RecordFile):
                 encryptor = header.fields['encryptor'].decode(errors='replace')
                 raise RecordingError(
                     f'{self.path} is encrypted by {encryptor}: decrypt it with rosbag first')
-            counts: Counter[int] = Counter()
-            at = uint64(header.fields['index_pos'])
-            if not 0 < at < source.size:
+            try:
+                counts = self._read_index(source, uint64(header.fields['index_pos']))
+            except (Damaged, LookupError, ValueError, struct.error):
                 return None
-            while at < source.size:
-                record = self.record_at(source, at)
-                if record is None:
-                    return None
-                content = source.read(record.content, record.end - record.content)
-                if record.kind == CONNECTION:
-                    self._define(record, content)
-                elif record.kind == CHUNK_INFO:
-                    counts.update(dict(struct.iter_unpack('<II', content)))
-                at = record.end
-        if not counts.keys() <= self.known.keys():
-            return None
         found: Counter[Channel] = Counter(dict.fromkeys(self.known.values(), 0))
         for number, count in counts.items():
             found[self.known[number]] += count
         return found
+
+    def _read_index(self, source: Source, at: int) -> Counter[int]:
+        """Return the counts by connection in the index that begins there; Damaged if wrong."""
+        counts: Counter[int] = Counter()
+        if not 0 < at < source.size:
+            raise Damaged('no index')
+        while at < source.size:
+            record = self.record_at(source, at)
+            if record is None:
+                raise Damaged('no record')
+            content = source.read(record.content, record.end - record.content)
+            if record.kind == CONNECTION:
+                self._define(record, content)
+            elif record.kind == CHUNK_INFO:
+                counts.update(dict(struct.iter_unpack('<II', content)))
+            at = record.end
+        if not counts.keys() <= self.known.keys():
+            raise Damaged('chunks of unknown connections')
+        return counts
 
     def scan(self, damage: list[str], topics: Collection[str] | None = None
              ) -> Iterator[Message]:
@@ -83,9 +90,11 @@ class Rosbag1File(RecordFile):
                             damage.append('the last chunk is cut')
                         content = chunk_content(record, content, record.end > source.size)
                         for inside, start, end in inner_records(content):
-                            yield from self._take(inside, content, start, end, topics)
+                            yield from self._take(
+                                inside, content, start, end, topics, damage)
                     else:
-                        yield from self._take(record, content, 0, len(content), topics)
+                        yield from self._take(
+                            record, content, 0, len(content), topics, damage)
                 except (Damaged, LookupError, ValueError, struct.error) as error:
                     damage.append(f'the record before byte {record.end}: {error}')
             # A recorder that dies leaves the position of the index zero.
@@ -93,11 +102,13 @@ class Rosbag1File(RecordFile):
                 damage.append('the index is missing')
 
     def _take(self, record: Record, content: bytes, start: int, end: int,
-              topics: Collection[str] | None) -> Iterator[Message]:
+              topics: Collection[str] | None, damage: list[str]) -> Iterator[Message]:
         """Yield the message that a record holds, if it does; note what it defines."""
         if record.kind == MESSAGE:
             channel = self.known.get(uint32(record.fields['conn']))
-            if channel is not None and (topics is None or channel.topic in topics):
+            if channel is None:
+                damage.append('a message of an unknown connection')
+            elif topics is None or channel.topic in topics:
                 seconds, nanoseconds = struct.unpack('<II', record.fields['time'])
                 yield channel, seconds * NS_PER_S + nanoseconds, content[start:end]
         elif record.kind == CONNECTION:
@@ -129,11 +140,9 @@ class Rosbag1File(RecordFile):
                 if match.end() - 4 <= at + uint32(window, at) < at + HEAD:
                     yield at
 
-    def is_record(self, source: Source, at: int) -> bool:
-        """Tell whether one surely begins at a candidate: all its fields are there."""
-        record = self.record_at(source, at)
-        return record is not None and (
-            record.kind != MESSAGE or uint32(record.fields['conn']) in self.known)
+    def is_sure(self, source: Source, record: Record) -> bool:
+        """Tell whether what looks like a record surely is one: its fields all but prove it."""
+        return record.kind != MESSAGE or uint32(record.fields['conn']) in self.known
 
 
 def parsed(data: bytes, at: int) -> Record:
@@ -147,15 +156,13 @@ def parsed(data: bytes, at: int) -> Record:
     size = uint32(data, content - 4)
     if kind in BYTES_PER_ENTRY and size != BYTES_PER_ENTRY[kind] * uint32(fields['count']):
         raise Damaged('an index of a wrong size')
-    certain = False
     if kind == CHUNK:
         compression = fields['compression'].decode()
-        certain = compression == 'none'
-        if not certain and compression not in DECOMPRESSORS:
+        if compression != 'none' and compression not in DECOMPRESSORS:
             raise Damaged(f'compression {compression}')
-        if certain and size != uint32(fields['size']):
+        if compression == 'none' and size != uint32(fields['size']):
             raise Damaged('a chunk of two sizes')
-    return Record(kind, content, content + size, certain, fields)
+    return Record(kind, content, content + size, fields)
 
 
 def chunk_content(record: Record, data: bytes, cut: bool) -> bytes:
