@@ -13,7 +13,7 @@ from struct import error, unpack_from
 import cv2
 
 from sph_stab_ros.images.codec import (
-    decoded, image_from_message, ImageError, JPEG, kind_of_whole_file)
+    decoded, image_from_message, ImageError, JPEG, whole_file)
 from sph_stab_ros.images.frame import Frame
 
 # By how much a decoder can reduce on the way, which leaves out most of its work.
@@ -88,7 +88,7 @@ def jpeg_size(data):
 def frame_from_message(msg, stamp_ns, frame_id=''):
     """Return the Frame, or JpegFrame, of an Image or CompressedImage message."""
     if not hasattr(msg, 'encoding'):
-        data = bytes(msg.data)
-        if kind_of_whole_file(data) == JPEG:
+        data, kind = whole_file(bytes(msg.data))
+        if kind == JPEG:
             return JpegFrame(data, stamp_ns, frame_id)
     return Frame(image_from_message(msg), stamp_ns, frame_id)

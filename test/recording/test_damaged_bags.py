@@ -5,7 +5,7 @@
 # writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
-"""Whatever happened to a bag's bytes: all that is whole comes out, before the damage and behind."""
+"""Whatever happened to a bag: all that is whole comes out, before the damage and behind."""
 
 from contextlib import suppress
 import sqlite3
@@ -146,8 +146,9 @@ def test_nothing_ends_in_a_traceback(seed, messages, messages_ros1, tmp_path):
     rng, _ = random_places(seed, 1, 1)
     file = tmp_path / ('bag', 'bag.mcap', 'bag.bag', 'bag.db3', 'bag.mcap.zstd')[seed % 5]
     rosbag1(tmp_path / 'one.ros', messages_ros1)
-    for data in (mcap(messages).data, mcap(messages, compression='').data,
-                 (tmp_path / 'one.ros').read_bytes(), sqlite(tmp_path / 'x', messages).read_bytes()):
+    for data in (
+            mcap(messages).data, mcap(messages, compression='').data,
+            (tmp_path / 'one.ros').read_bytes(), sqlite(tmp_path / 'x', messages).read_bytes()):
         for _ in range(int(rng.integers(1, 12))):
             at = int(rng.integers(len(data)))
             count = int(rng.integers(1, 200))

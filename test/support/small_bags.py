@@ -81,9 +81,9 @@ def mcap(messages, *, compression='zstd', per_chunk=4, checksums=True, index=Tru
             spans.append((start, file.tell(), part))
             end = file.tell()
             file.write(record(7, struct.pack('<HI', 1, 0)))
-            chunks.append(record(8, struct.pack('<QQQQIHQQ', *times, start, end - start, 10, 1, end,
-                                                file.tell() - end) + sizes +
-                                 struct.pack('<Q', len(inside))))
+            chunks.append(record(8, struct.pack(
+                '<QQQQIHQQ', *times, start, end - start, 10, 1, end, file.tell() - end) +
+                sizes + struct.pack('<Q', len(inside))))
         else:
             file.write(inside)
             spans.append((start, file.tell(), part))
