@@ -10,12 +10,13 @@
 from contextlib import suppress
 import sqlite3
 
+import numpy as np
 import pytest
 from small_bags import (
     image_messages, mcap, overwritten, random_places, rosbag1, sqlite)
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.containers import Containers
-from tiny_recordings import IMAGE_TOPIC
+from tiny_recordings import IMAGE_TOPIC, stamps_of
 
 COUNT = 24
 MCAP_KINDS = {
@@ -117,6 +118,24 @@ def test_lost_sectors_of_a_card(kind, hole, messages, tmp_path):
             path.write_bytes(written.data[:first] + instead + written.data[first + hole:])
             found, _ = read(path)
             assert is_subsequence(outside, found), (first, len(instead))
+
+
+@pytest.mark.parametrize('per_chunk', [0, 1, 3])
+@pytest.mark.parametrize('darkness', [0., 0.8, 1.])
+def test_raw_pictures_are_not_taken_for_records(per_chunk, darkness, tmp_path):
+    """In the dark they are full of small numbers and zeros, as the heads of records are."""
+    rng, _ = random_places(7, 1, 1)
+    messages = [(ns, (rng.integers(0, 16, 40_000) * (rng.random(40_000) > darkness)
+                      ).astype(np.uint8).tobytes()) for ns in stamps_of(COUNT).tolist()]
+    written = mcap(messages, compression='', per_chunk=per_chunk)
+    for at in rng.integers(0, len(written.data), 30).tolist():
+        hole = bytes(int(rng.integers(8, 50_000)))
+        data = written.data[:at] + hole + written.data[at + len(hole):]
+        (tmp_path / 'bag').write_bytes(data[:len(written.data)])
+        found, _ = read(tmp_path / 'bag')
+        outside = written.untouched(messages, at, at + len(hole) - 1)
+        # Where the definitions are lost, and the index with them, nothing can be read.
+        assert is_subsequence(outside, found) or not found and len(hole) > at, at
 
 
 def test_damaged_pages_of_sqlite(messages, tmp_path):

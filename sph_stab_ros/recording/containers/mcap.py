@@ -27,20 +27,24 @@ MAGIC = b'\x89MCAP0\r\n'
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
 MESSAGE_INDEX, STATISTICS, DATA_END = 7, 11, 15
 # The smallest content of each kind of record; the only one where it is fixed.
-SMALLEST = {1: 8, SCHEMA: 14, CHANNEL: 16, MESSAGE: 22, CHUNK: 40, MESSAGE_INDEX: 6}
-FIXED = {FOOTER: 20, DATA_END: 4}
+SMALLEST = {1: 8, SCHEMA: 14, CHANNEL: 16, MESSAGE: 22, CHUNK: 40, MESSAGE_INDEX: 6, 8: 64, 9: 36,
+            10: 40, STATISTICS: 46, 12: 8, 13: 20}
+FIXED = {FOOTER: 20, 14: 17, DATA_END: 4}
 FOOTER_BYTES = 9 + FIXED[FOOTER] + len(MAGIC)
 COMPRESSIONS = ('', 'lz4', 'zstd')
 RECORD_HEAD = struct.Struct('<BQ')
 MESSAGE_HEAD = struct.Struct('<HIQQ')
-# A kind, and a length below 2**40.
-CANDIDATE = re.compile(rb'(?=[\x02-\x0f].{5}\0\0\0)', re.DOTALL)
+# Schema, channel, message or chunk, and a length below 2**40.
+CANDIDATE = re.compile(rb'(?=[\x03-\x06].{5}\0\0\0)', re.DOTALL)
+# Three days: what is found further from the last message is taken for something else.
+NEAR_NS = 2**48
 
 
 class McapFile(RecordFile):
     """An MCAP file, read front to back."""
 
     START, CHUNK, INNER = len(MAGIC), CHUNK, (SCHEMA, CHANNEL, MESSAGE)
+    _last_ns: int | None = None
 
     def index(self) -> Counter[Channel] | None:
         """Return the counts in the summary section, or None where it cannot be trusted."""
@@ -103,7 +107,9 @@ class McapFile(RecordFile):
             channel = self.known.get(number)
             if channel is None:
                 damage.append(f'a message of an unknown channel {number}')
-            elif topics is None or channel.topic in topics:
+            else:
+                self._last_ns = received_ns
+            if channel is not None and (topics is None or channel.topic in topics):
                 yield channel, received_ns, content[start + MESSAGE_HEAD.size:end]
         else:
             self._define(kind, content[start:end], types)
@@ -141,20 +147,36 @@ class McapFile(RecordFile):
         return (match.start() for match in CANDIDATE.finditer(window))
 
     def is_sure(self, source: Source, record: Record) -> bool:
-        """Tell whether what looks like a record surely is one: another one follows."""
+        """Tell whether what looks like a record surely is one: more than its length fits."""
         if record.kind == CHUNK:
             return True
-        if record.kind == MESSAGE and uint16(source.read(record.content, 2)) not in self.known:
+        if record.kind == MESSAGE:
+            following = self.record_at(source, record.end)
+            return self._is_expected(source, record) and following is not None and (
+                following.kind != MESSAGE or self._is_expected(source, following))
+        content = source.read(record.content, record.end - record.content)
+        try:
+            at = 2 if record.kind == SCHEMA else 4
+            for _ in range(2):
+                _, at = string(content, at)
+            return at + 4 + uint32(content, at) == len(content)
+        except (Damaged, UnicodeDecodeError, struct.error):
             return False
-        return (self.record_at(source, record.end) is not None or
-                record.kind == FOOTER and record.end + len(MAGIC) == source.size)
+
+    def _is_expected(self, source: Source, record: Record) -> bool:
+        """Tell whether a message is in a known channel and not far from those before."""
+        number, _, received_ns, _ = MESSAGE_HEAD.unpack(
+            source.read(record.content, MESSAGE_HEAD.size))
+        return number in self.known and (
+            self._last_ns is None or abs(received_ns - self._last_ns) < NEAR_NS)
 
 
 def is_chunk(head: bytes, size: int) -> bool:
     """Tell whether the content of a record of this size begins like a chunk's."""
     try:
         compression, end = string(head, 28)
-        return compression in COMPRESSIONS and uint64(head, end) == size - end - 8
+        return compression in COMPRESSIONS and uint64(head, end) == size - end - 8 and (
+            compression != '' or uint64(head, end) == uint64(head, 16))
     except (Damaged, UnicodeDecodeError, struct.error):
         return False
 
