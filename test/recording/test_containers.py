@@ -143,6 +143,16 @@ def test_what_was_unpacked_beside_its_archive_is_read_once(messages, tmp_path):
     assert stamps_in(tmp_path / 'bag') == STAMPS_NS
 
 
+def test_copies_in_a_folder_are_read_once(messages, tmp_path, caplog):
+    """As a tool that repairs bags leaves them: the one that was cut, and another one."""
+    whole = mcap(messages).data
+    (tmp_path / 'a.orig.mcap').write_bytes(whole[:len(whole) // 2])
+    (tmp_path / 'a.mcap').write_bytes(whole)
+    (tmp_path / 'copy of a.mcap').write_bytes(whole)
+    assert stamps_in(tmp_path) == STAMPS_NS
+    assert len(caplog.records) == 1 and 'copies' in caplog.text
+
+
 def test_bags_of_several_kinds_in_a_folder_are_refused(bag_bytes, tmp_path):
     for kind, data in bag_bytes.items():
         (tmp_path / kind).write_bytes(data)

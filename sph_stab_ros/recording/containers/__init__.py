@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 import logging
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 from ruamel.yaml import YAML
 
@@ -84,26 +84,47 @@ class Containers:
         if len(kinds) > 1:
             raise RecordingError(f'{path} holds bags of several kinds, give one of them: '
                                  f'{", ".join(file.name for file in files)}')
-        parts = []
-        for file in files:
-            for kind in kinds:
-                part = kind(self._copies.readable(file, self._damage))
-                parts.append((self._look_into(part), part))
+        parts = [self._look_into(kind(self._copies.readable(file, self._damage)))
+                 for file in files for kind in kinds]
         if not listed:
+            parts = without_copies(path.name, parts)
             # Names do not sort like numbers; parts without messages come last.
-            parts.sort(key=lambda one: (one[0] is None, one[0] or 0))
-        return [part for _, part in parts]
+            parts.sort(key=lambda one: (one.first_ns is None, one.first_ns or 0))
+        for one in parts:
+            self.channels.update(one.counts)
+        return [one.part for one in parts]
 
-    def _look_into(self, part: Part) -> int | None:
-        """Count a part's messages; return the time of the first one in ns, if any."""
+    def _look_into(self, part: Part) -> 'Look':
+        """Count a part's messages, and find when they begin."""
         counts = part.index()
         channel, first_ns, _ = next(part.scan([]), (None, None, b''))
         if counts is None or channel is not None and channel not in counts:
             # There is no index, or it contradicts what it stands for.
             counts = Counter(channel for channel, _, _ in part.scan([]))
             counts.update(dict.fromkeys(part.channels(), 0))
-        self.channels.update(counts)
-        return first_ns
+        return Look(part, first_ns, counts)
+
+
+class Look(NamedTuple):
+    """What is known of a part before it is read; the time in ns of its first message, if any."""
+
+    part: Part
+    first_ns: int | None
+    counts: Counter[Channel]
+
+
+def without_copies(name: str, parts: list[Look]) -> list[Look]:
+    """Return the parts, of those that begin at the same time the one that holds most."""
+    best: dict[int, Look] = {}
+    for one in parts:
+        if one.first_ns is not None:
+            other = best.setdefault(one.first_ns, one)
+            if one.counts.total() > other.counts.total():
+                best[one.first_ns] = one
+    kept = [one for one in parts if one.first_ns is None or best[one.first_ns] is one]
+    if len(kept) < len(parts):
+        logger.warning('%s holds copies of the same recording: the longest is read', name)
+    return kept
 
 
 def bag_files(path: Path, damage: list[str]) -> list[Path]:

@@ -71,7 +71,8 @@ def kind_of(path: Path) -> Kind | None:
         make = decompressor_of(head)
         if make is not None:
             try:
-                head = make().decompress(head + file.read(COMPRESSED_BLOCK_BYTES))
+                head = make().decompress(
+                    head + file.read(COMPRESSED_BLOCK_BYTES), FIRST_BYTES)
             # Each library has exceptions of its own.
             except Exception:
                 return None
