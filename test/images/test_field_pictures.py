@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from sph_stab_ros.images.codec import image_from_message, ImageError
-from sph_stab_ros.images.jpeg_frame import frame_from_message
+from sph_stab_ros.images.frame import frame_from_message
 from sph_stab_ros.images.raw import ENCODINGS, PLANES
 from tiny_recordings import textured_sphere
 
