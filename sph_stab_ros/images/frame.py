@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sph_stab_ros.geometry.arrays import Image
-from sph_stab_ros.images.codec import image_from_message, JPEG, kind_of_whole_file
+from sph_stab_ros.images.codec import image_from_message, JPEG, whole_file
 from sph_stab_ros.images.jpeg import JpegFile
 
 
@@ -61,7 +61,7 @@ def frame_from_message(msg: Any, stamp_ns: int, frame_id: str = '') -> Frame:
     A JPEG file is decoded later; what is not whole is refused at once, with ImageError.
     """
     if not hasattr(msg, 'encoding'):
-        data = bytes(msg.data)
-        if kind_of_whole_file(data) == JPEG:
+        data, kind = whole_file(bytes(msg.data))
+        if kind == JPEG:
             return Frame(JpegFile(data), stamp_ns, frame_id)
     return Frame(image_from_message(msg), stamp_ns, frame_id)
