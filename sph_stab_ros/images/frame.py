@@ -11,6 +11,7 @@
 from dataclasses import dataclass
 
 from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.images.times import PictureTime
 
 
 @dataclass(frozen=True)
@@ -21,11 +22,23 @@ class Frame:
     ``image`` is (H, W, 3) uint8 in BGR order or (H, W) uint8 and is not written to; which of its
     pixels shows what is the Projection's business, and whether its size fits the Stabilizer's;
     ``stamp_ns`` is the header's or the container's time; ``frame_id`` names the camera's frame.
+    ``times`` is what a PictureClock made of the stamp; without, the stamp is taken as it is.
     """
 
     image: Image
     stamp_ns: int
     frame_id: str = ''
+    times: PictureTime | None = None
+
+    @property
+    def time_ns(self) -> int:
+        """Return the time on the timeline of the pictures, which takes part in no clock's steps."""
+        return self.stamp_ns if self.times is None else self.times.time_ns
+
+    @property
+    def clock_ns(self) -> int:
+        """Return the time by the clock of the stamps, which an IMU's are of, too."""
+        return self.stamp_ns if self.times is None else self.times.clock_ns
 
     @property
     def size_wh(self) -> tuple[int, int]:

@@ -35,14 +35,16 @@ class JpegFrame:
     ----------
     data : bytes
         A JPEG file; ImageError where it is no whole one.
-    stamp_ns, frame_id
+    stamp_ns, frame_id, times
         As Frame's.
 
     """
 
-    def __init__(self, data, stamp_ns, frame_id=''):
+    def __init__(self, data, stamp_ns, frame_id='', times=None):
         self._data = data
-        self.stamp_ns, self.frame_id = stamp_ns, frame_id
+        self.stamp_ns, self.frame_id, self.times = stamp_ns, frame_id, times
+        self.time_ns = times.time_ns if times else stamp_ns
+        self.clock_ns = times.clock_ns if times else stamp_ns
         self.size_wh = jpeg_size(data)
         self._image = None
 
@@ -85,10 +87,10 @@ def jpeg_size(data):
         raise ImageError(f'corrupt {JPEG}', 'there is no frame header') from None
 
 
-def frame_from_message(msg, stamp_ns, frame_id=''):
+def frame_from_message(msg, stamp_ns, frame_id='', times=None):
     """Return the Frame, or JpegFrame, of an Image or CompressedImage message."""
     if not hasattr(msg, 'encoding'):
         data = bytes(msg.data)
         if kind_of_whole_file(data) == JPEG:
-            return JpegFrame(data, stamp_ns, frame_id)
-    return Frame(image_from_message(msg), stamp_ns, frame_id)
+            return JpegFrame(data, stamp_ns, frame_id, times)
+    return Frame(image_from_message(msg), stamp_ns, frame_id, times)

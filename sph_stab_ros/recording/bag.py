@@ -10,6 +10,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
+from itertools import islice
 import logging
 from pathlib import Path
 from typing import Any
@@ -20,12 +21,16 @@ from rosbags.typesys import get_typestore, Stores
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import image_from_message, ImageError
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.times import PictureClock, Stamp
 from sph_stab_ros.recording.base import RecordingError, SkipLog
+from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times
 from sph_stab_ros.recording.salvage import SalvagedBag
 
 logger = logging.getLogger(__name__)
 
 IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+# Drivers that stamp with zero until they have the time have it by then.
+MAX_UNSTAMPED = 300
 
 
 class BagRecording:
@@ -67,23 +72,26 @@ class BagRecording:
         return self._skip_log.counts
 
     def frames(self) -> Generator[Frame, None, None]:
-        """Yield the Frames of the image topic; header stamps, or times of receipt where zero."""
+        """Yield the Frames of the image topic; header stamps, or times of receipt without any."""
         self._skip_log = SkipLog(self.name)
-        said_zero = False
-        for received_ns, msg in self.messages(self._images):
-            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
-            if stamp_ns == 0:
-                stamp_ns = received_ns
-                if not said_zero:
-                    logger.warning('%s: header stamps are zero, times of receipt are used',
-                                   self.name)
-                said_zero = True
+        first, stamped = peeked(self._stamped())
+        # Only where it is missing, as it takes to read the beginning twice.
+        known = first_stamp([first[0]]) if first else None
+        if first and known is None:
+            known = first_stamp(stamp for stamp, _ in islice(self._stamped(), MAX_UNSTAMPED))
+        for times, msg in with_times(self.name, stamped, PictureClock(first=known)):
             try:
                 image = image_from_message(msg)
             except ImageError as error:
                 self._skip_log.add(error.reason, error)
                 continue
-            yield Frame(image, stamp_ns, msg.header.frame_id)
+            yield Frame(image, times.stamp_ns, msg.header.frame_id, times)
+
+    def _stamped(self) -> Iterator[tuple[Stamp, Any]]:
+        """Yield the messages of the image topic with their stamps."""
+        for received_ns, msg in self.messages(self._images):
+            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
+            yield Stamp(stamp_ns or None, received_ns), msg
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time of receipt in ns, message) of a topic; messages of rosbags' types."""

@@ -1,0 +1,113 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The times of recorded pictures and messages, decided with a look ahead, and told in words."""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
+import logging
+from typing import TypeVar
+
+from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.images.times import (
+    MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock, PictureTime, Stamp, TimeEvent)
+
+logger = logging.getLogger(__name__)
+
+# One to see whether a stamp is false or begins something, one to see the same of the first.
+LOOKAHEAD = 2
+# After a step of the clock playing goes on.
+STEP_PLAYED_NS = NS_PER_S
+S_PER_YEAR = 31_556_952
+S_PER_DAY = 86_400
+
+Item = TypeVar('Item')
+
+
+def with_times(name: str, stamped: Iterable[tuple[Stamp, Item]], clock: PictureClock
+               ) -> Iterator[tuple[PictureTime, Item]]:
+    """
+    Yield pictures, or what there is of them, with their times.
+
+    What is remarkable about the times of the recording ``name`` is logged, the first of a kind.
+    """
+    said: set[TimeEvent] = set()
+    iterator = iter(stamped)
+    waiting = deque(islice(iterator, 1))
+    number = 0
+    while waiting:
+        waiting.extend(islice(iterator, LOOKAHEAD + 1 - len(waiting)))
+        stamp, item = waiting.popleft()
+        times = clock.decide(stamp, [upcoming for upcoming, _ in waiting])
+        number += 1
+        if times.event is not None and times.event not in said:
+            said.add(times.event)
+            logger.warning('%s: picture %d: %s (more of these are not told)',
+                           name, number, told(times))
+        yield times, item
+
+
+def told(times: PictureTime) -> str:
+    """Return in words what was found out about the time of a picture."""
+    off = duration(times.by_ns)
+    return {
+        TimeEvent.MISSING: 'its stamp is zero or missing, and is replaced',
+        TimeEvent.UNSTAMPED: 'the stamps are zero or missing, times of receipt are used',
+        TimeEvent.NOT_INCREASING: 'its stamp is not later than the one before; it is shown '
+                                  'between its neighbours',
+        TimeEvent.OUTLIER: f'a single stamp is off by {off}; it is shown between its neighbours',
+        TimeEvent.STEP_FORWARD: f'the stamps step by {off}; pictures go on at their pace',
+        TimeEvent.STEP_BACK: f'the stamps step by {off}; pictures go on at their pace',
+    }[times.event] if times.event else ''
+
+
+def duration(ns: int) -> str:
+    """Return a signed duration in seconds and, where it is long, in what people count in."""
+    seconds = ns / NS_PER_S
+    for unit_s, unit in (S_PER_YEAR, 'years'), (S_PER_DAY, 'days'):
+        if abs(seconds) >= unit_s:
+            return f'{seconds:+.3f} s ({abs(seconds) / unit_s:.1f} {unit})'
+    return f'{seconds:+.3f} s'
+
+
+def first_stamp(stamps: Iterable[Stamp]) -> Stamp | None:
+    """Return the first stamp that is not missing."""
+    return next((stamp for stamp in stamps if stamp.stamp_ns is not None), None)
+
+
+def peeked(items: Iterable[Item]) -> tuple[Item | None, Iterator[Item]]:
+    """Return the first of some items, and an iterator over all of them."""
+    iterator = iter(items)
+    first = list(islice(iterator, 1))
+    return (first[0] if first else None), chain(first, iterator)
+
+
+class PlayingTime:
+    """
+    When to play messages whose times are those of a clock that may have been set.
+
+    Where it was, playing goes on after a second. Messages a little out of order, as of several
+    topics, are played at once.
+    """
+
+    def __init__(self) -> None:
+        self._offset_ns: int | None = None
+        self.elapsed_ns = 0
+
+    def advance(self, time_ns: int) -> int | None:
+        """Set ``elapsed_ns``, counted from the first message, for the next one; return a step."""
+        if self._offset_ns is None:
+            self._offset_ns = time_ns
+        ahead_ns = time_ns - self._offset_ns - self.elapsed_ns
+        if -MAX_JITTER_NS <= ahead_ns <= MAX_PAUSE_NS:
+            self.elapsed_ns += max(ahead_ns, 0)
+            return None
+        self.elapsed_ns += STEP_PLAYED_NS
+        self._offset_ns = time_ns - self.elapsed_ns
+        return ahead_ns
