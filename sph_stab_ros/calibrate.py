@@ -27,7 +27,7 @@ from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, given_parameters, settings_from)
 from sph_stab_ros.geometry.fisheye import fits
 from sph_stab_ros.geometry.projection import to_grey
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 
 from tqdm import tqdm
@@ -47,7 +47,7 @@ def spread_images(recording, config, max_frames=None, progress=iter):
     total = frames_to_read(recording, max_frames)
     step = -(-total // PICTURES) if total else STEP
     greys, sizes = [], set()
-    with closing(recording.frames()) as frames:
+    with closing(decoded_frames(recording)) as frames:
         for number, frame in enumerate(progress(islice(frames, max_frames))):
             if number % step or len(greys) == PICTURES:
                 continue

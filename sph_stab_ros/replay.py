@@ -200,7 +200,8 @@ def main(argv=None):
             # Shown on terminals only.
             summary = stabilize_recording(
                 recording, Stabilizer(config), sinks, args.max_frames,
-                lambda frames: tqdm(frames, total=total, unit=' frames', disable=None), imu)
+                lambda frames: tqdm(frames, total=total, unit=' frames', disable=None), imu,
+                pictures=args.out is not None)
         for line in report(summary, config, time.perf_counter() - start_s):
             print(line)
         if imu is not None:

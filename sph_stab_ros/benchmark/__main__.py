@@ -29,7 +29,7 @@ from sph_stab_ros.config import MIN_WIDTH, TrackerConfig
 from sph_stab_ros.evaluation.runs import EvaluationError
 from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.projection import to_grey
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.tracking import working_width
 
@@ -162,7 +162,7 @@ def bar(name, iterable, total, unit=' frames'):
 
 def times(args, recording):
     """Return the figures by width, and print their table."""
-    images = [frame.image for frame in islice(recording.frames(), args.repeats + 2)]
+    images = [frame.image for frame in islice(decoded_frames(recording), args.repeats + 2)]
     if len(images) < 2 or images[0].ndim < 3:
         raise RecordingError(f'{args.recording}: at least two pictures in colour are needed')
     if not is_equirect(images[0].shape):
@@ -186,7 +186,7 @@ def times(args, recording):
 def growth_part(args, recording):
     """Return the figures of growth, and print their table."""
     spheres = []
-    for frame in islice(recording.frames(), MAX_PICTURES):
+    for frame in islice(decoded_frames(recording), MAX_PICTURES):
         width = min(working_width(TrackerConfig()), frame.image.shape[1])
         spheres.append(to_grey(frame.image, width))
     if len(spheres) < 2 or not is_equirect(spheres[0].shape):

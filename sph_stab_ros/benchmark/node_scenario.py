@@ -17,7 +17,7 @@ import cv2
 from sensor_msgs.msg import CompressedImage, Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 
 # Held in memory, 330 MB of raw pictures at 1920 columns, and played there and back.
 PICTURES = 60
@@ -76,8 +76,9 @@ class MemoryRecording:
         self.topics = {self.image_topic: f'sensor_msgs/msg/{scenario.image_type.__name__}'}
         fill = fill_compressed if scenario.compressed else fill_image
         size = scenario.width, scenario.width // 2
+        frames = decoded_frames(open_recording(scenario.recording))
         images = (cv2.resize(frame.image, size, interpolation=cv2.INTER_CUBIC)
-                  for frame in islice(open_recording(scenario.recording).frames(), PICTURES))
+                  for frame in islice(frames, PICTURES))
         self._messages = [fill(scenario.image_type(), image) for image in images]
         if not self._messages:
             raise RecordingError(f'{scenario.recording} has no pictures')

@@ -32,7 +32,7 @@ from sph_stab_ros.geometry.arrays import (
     Bearings, Choice, Floats, Grey, Image, Indices, Matrix, Vector)
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.geometry.warp import view_rotation
-from sph_stab_ros.recording import Recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, Recording, RecordingError
 from sph_stab_ros.tracking.factory import FRAME_TO_FRAME_WIDTH
 from sph_stab_ros.tracking.frame_to_frame.estimators import BearingPairs
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import (
@@ -198,7 +198,7 @@ def references(recording: Recording, progress: Callable[[str, Any], Iterable[Any
     truth = read_truth(recording, find_truth_topic(recording))
     configs = {name: StabilizerConfig(TrackerConfig(estimator=name)) for name in (ANCHORED, 'pts')}
     alignment, _, figures = evaluate_against_truth(recording, configs, truth, progress=progress)
-    frames = list(recording.frames())
+    frames = list(decoded_frames(recording))
 
     def add(name: str, stamps_ns: Sequence[int], rotations: Rotation, elapsed_s: float,
             shown: int) -> None:

@@ -25,10 +25,10 @@ step forward by the times of receipt, where they are known. Pictures between two
 
 from collections import deque
 from collections.abc import Sequence
-from enum import Enum
 from typing import NamedTuple
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent
 
 # Without a picture for longer, the clock was set.
 MAX_PAUSE_NS = 3600 * NS_PER_S
@@ -41,41 +41,6 @@ NOMINAL_PERIOD_NS = NS_PER_S // 30
 PERIODS_KEPT = 5
 # So many pictures in a row, of a time apart, make an epoch for who cannot look ahead.
 CONFIRMED = 3
-
-
-class TimeEvent(Enum):
-    """Something about the time of a picture that its user should hear of."""
-
-    MISSING = 'stamp_missing'
-    UNSTAMPED = 'no_stamps'
-    NOT_INCREASING = 'stamp_not_increasing'
-    OUTLIER = 'stamp_outlier'
-    STEP_FORWARD = 'time_went_forward'
-    STEP_BACK = 'time_went_back'
-
-
-class Stamp(NamedTuple):
-    """The stamp of a picture, None where it has none, and when it was received if that is known."""
-
-    stamp_ns: int | None
-    received_ns: int | None = None
-
-
-class PictureTime(NamedTuple):
-    """
-    The times of a picture.
-
-    ``stamp_ns`` is the stamp, or what fills its place; ``time_ns`` is that on the timeline;
-    ``clock_ns`` is what a right clock of the same epoch would have shown, which other sensors'
-    stamps count by. ``event`` is what was found out with this picture, maybe about those shortly
-    before, and ``by_ns`` by how much their stamps are off or step.
-    """
-
-    stamp_ns: int
-    time_ns: int
-    clock_ns: int
-    event: TimeEvent | None = None
-    by_ns: int = 0
 
 
 class _Picture(NamedTuple):
@@ -180,51 +145,53 @@ class PictureClock:
         if self._good is not None:
             self._periods_ns.append(picture.stamp_ns - self._good.stamp_ns)
         self._good = picture
-        return PictureTime(
-            picture.stamp_ns, picture.time_ns, picture.stamp_ns, event, by_ns)
+        return self._in_epoch(picture, event, by_ns)
 
     def _apart(self, picture: _Picture, upcoming: Sequence[Stamp] = ()) -> PictureTime:
         """Return the time of a picture whose stamp tells nothing."""
         time_ns = self._neighbours_time(Stamp(None, picture.received_ns), upcoming)
-        is_jitter = self._good is not None and (
-            -MAX_JITTER_NS <= picture.stamp_ns - self._good.stamp_ns <= 0)
-        return PictureTime(
-            picture.stamp_ns, time_ns, time_ns + self._offset_ns,
+        is_jitter = self._good is not None and _is_jitter(self._good, picture)
+        return self._in_epoch(
+            picture._replace(time_ns=time_ns),
             TimeEvent.NOT_INCREASING if is_jitter else TimeEvent.OUTLIER,
             picture.stamp_ns - self._offset_ns - time_ns)
 
     def _suspected(self, picture: _Picture) -> PictureTime:
         """Return the time of a picture that is not of the epoch, without knowing what follows."""
         assert self._good is not None
-        if -MAX_JITTER_NS <= picture.stamp_ns - self._good.stamp_ns <= 0:
+        if _is_jitter(self._good, picture):
             return self._apart(picture)
         if self._suspects:
             before = self._suspects[-1]
             if self._follows(before, picture):
-                time_ns = before.time_ns + picture.stamp_ns - before.stamp_ns
-                if self._last is not None and time_ns > self._last.time_ns:
-                    picture = picture._replace(time_ns=time_ns)
+                picture = picture._replace(
+                    time_ns=before.time_ns + picture.stamp_ns - before.stamp_ns)
+                if self._last is not None and picture.time_ns > self._last.time_ns:
                     self._suspects.append(picture)
                     return (self._stepped if len(self._suspects) == CONFIRMED
-                            else self._of_old_epoch)(picture)
+                            else self._in_epoch)(picture)
             elif self._receipts_deny(self._good, before) and self._receipts_deny(before, picture):
                 self._receipts_tell, self._suspects = False, []
                 return self._accepted(picture)
         picture = picture._replace(time_ns=self._next_time_ns(picture))
         self._suspects = [picture]
-        return self._of_old_epoch(picture)
+        return self._in_epoch(picture)
 
-    def _of_old_epoch(self, picture: _Picture) -> PictureTime:
-        return PictureTime(picture.stamp_ns, picture.time_ns, picture.time_ns + self._offset_ns)
+    def _in_epoch(self, picture: _Picture, event: TimeEvent | None = None, by_ns: int = 0
+                  ) -> PictureTime:
+        return PictureTime(picture.stamp_ns, picture.time_ns, picture.time_ns + self._offset_ns,
+                           event, by_ns)
 
     def _stepped(self, picture: _Picture) -> PictureTime:
         """Return the time of a picture with which an epoch begins, or is found to have begun."""
         offset_ns = picture.stamp_ns - picture.time_ns
         by_ns, self._offset_ns = offset_ns - self._offset_ns, offset_ns
         self._good, self._suspects = picture, []
-        return PictureTime(
-            picture.stamp_ns, picture.time_ns, picture.stamp_ns,
-            TimeEvent.STEP_BACK if by_ns < 0 else TimeEvent.STEP_FORWARD, by_ns)
+        event = TimeEvent.STEP_BACK if by_ns < 0 else TimeEvent.STEP_FORWARD
+        if not self._periods_ns:
+            # All that there was before is the first picture.
+            event, by_ns = TimeEvent.OUTLIER, -by_ns
+        return self._in_epoch(picture, event, by_ns)
 
     @property
     def _least_step_ns(self) -> int:
@@ -300,6 +267,10 @@ class PictureClock:
             return None
         elapsed_ns = after.received_ns - before.received_ns
         return elapsed_ns if 0 <= elapsed_ns <= MAX_PAUSE_NS else None
+
+
+def _is_jitter(before: _Picture, after: _Picture) -> bool:
+    return -MAX_JITTER_NS <= after.stamp_ns - before.stamp_ns <= 0
 
 
 def _reading(stamp: Stamp | _Picture) -> int:

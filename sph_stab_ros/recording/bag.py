@@ -19,9 +19,10 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import get_typestore, Stores
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.images.codec import image_from_message, ImageError
-from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.times import PictureClock, Stamp
+from sph_stab_ros.images.codec import ImageError
+from sph_stab_ros.images.frame import Frame, frame_from_message
+from sph_stab_ros.images.picture_time import Stamp
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError, SkipLog
 from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times
 from sph_stab_ros.recording.salvage import SalvagedBag
@@ -75,17 +76,17 @@ class BagRecording:
         """Yield the Frames of the image topic; header stamps, or times of receipt without any."""
         self._skip_log = SkipLog(self.name)
         first, stamped = peeked(self._stamped())
-        # Only where it is missing, as it takes to read the beginning twice.
         known = first_stamp([first[0]]) if first else None
         if first and known is None:
+            # Only here, as it takes to read the beginning twice.
             known = first_stamp(stamp for stamp, _ in islice(self._stamped(), MAX_UNSTAMPED))
         for times, msg in with_times(self.name, stamped, PictureClock(first=known)):
             try:
-                image = image_from_message(msg)
+                frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
             except ImageError as error:
                 self._skip_log.add(error.reason, error)
-                continue
-            yield Frame(image, times.stamp_ns, msg.header.frame_id, times)
+            else:
+                yield frame
 
     def _stamped(self) -> Iterator[tuple[Stamp, Any]]:
         """Yield the messages of the image topic with their stamps."""

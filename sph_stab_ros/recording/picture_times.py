@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The times of recorded pictures and messages, decided with a look ahead, and told in words."""
+"""The times of recorded pictures and messages, decided with a look ahead."""
 
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -15,8 +15,8 @@ import logging
 from typing import TypeVar
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.images.times import (
-    MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock, PictureTime, Stamp, TimeEvent)
+from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
+from sph_stab_ros.images.times import MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock
 
 logger = logging.getLogger(__name__)
 
@@ -24,8 +24,6 @@ logger = logging.getLogger(__name__)
 LOOKAHEAD = 2
 # After a step of the clock playing goes on.
 STEP_PLAYED_NS = NS_PER_S
-S_PER_YEAR = 31_556_952
-S_PER_DAY = 86_400
 
 Item = TypeVar('Item')
 
@@ -51,29 +49,6 @@ def with_times(name: str, stamped: Iterable[tuple[Stamp, Item]], clock: PictureC
             logger.warning('%s: picture %d: %s (more of these are not told)',
                            name, number, told(times))
         yield times, item
-
-
-def told(times: PictureTime) -> str:
-    """Return in words what was found out about the time of a picture."""
-    off = duration(times.by_ns)
-    return {
-        TimeEvent.MISSING: 'its stamp is zero or missing, and is replaced',
-        TimeEvent.UNSTAMPED: 'the stamps are zero or missing, times of receipt are used',
-        TimeEvent.NOT_INCREASING: 'its stamp is not later than the one before; it is shown '
-                                  'between its neighbours',
-        TimeEvent.OUTLIER: f'a single stamp is off by {off}; it is shown between its neighbours',
-        TimeEvent.STEP_FORWARD: f'the stamps step by {off}; pictures go on at their pace',
-        TimeEvent.STEP_BACK: f'the stamps step by {off}; pictures go on at their pace',
-    }[times.event] if times.event else ''
-
-
-def duration(ns: int) -> str:
-    """Return a signed duration in seconds and, where it is long, in what people count in."""
-    seconds = ns / NS_PER_S
-    for unit_s, unit in (S_PER_YEAR, 'years'), (S_PER_DAY, 'days'):
-        if abs(seconds) >= unit_s:
-            return f'{seconds:+.3f} s ({abs(seconds) / unit_s:.1f} {unit})'
-    return f'{seconds:+.3f} s'
 
 
 def first_stamp(stamps: Iterable[Stamp]) -> Stamp | None:

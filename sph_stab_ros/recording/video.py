@@ -19,7 +19,8 @@ import numpy as np
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.times import PictureClock, PictureTime, Stamp
+from sph_stab_ros.images.picture_time import PictureTime, Stamp
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError, SkipLog
 from sph_stab_ros.recording.picture_times import with_times
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera

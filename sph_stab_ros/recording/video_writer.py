@@ -17,7 +17,8 @@ import cv2
 
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.images.times import PictureClock, Stamp
+from sph_stab_ros.images.picture_time import Stamp
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.video import av
 

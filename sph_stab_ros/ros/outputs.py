@@ -15,7 +15,7 @@ from sph_stab_ros.ros.views import View
 from sph_stab_ros.stabilization.outputs import (
     COMPRESSED, fits_into_tree, orientation_outputs, picture_outputs, topics, TRANSFORMS_TOPIC)
 
-# Orientations are small and wanted whole.
+# Orientations are small, and who records them wants them all.
 DEPTHS = {'orientation': 10, 'orientation_covariance': 10, 'virtual_orientation': 10,
           TRANSFORMS_TOPIC: 100}
 

@@ -11,6 +11,7 @@
 from dataclasses import replace
 
 import numpy as np
+from pose_points import HERE, points, POSITION, SIGMA_RAD, tangents
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -18,26 +19,6 @@ from sph_stab_ros.tracking.anchored.pose_estimation import (
     DOUBTFUL_SCALE, fit_depths, fit_pose, fit_pose_among_movers, MAX_INVERSE_DEPTH, MIN_SCALE,
     Points, STEP_TOLERANCE)
 from synthetic import angle_deg, random_rotation, unit
-
-POSITION = np.array((0.1, -0.05, 0.2))
-SIGMA_RAD = 1e-3
-HERE = np.zeros(3)
-
-
-def tangents(y):
-    """Return the sphere's unit directions (N, 2, 3) at y per standard deviation."""
-    first = unit(np.cross(y, (0.3, 0.5, 0.8)))
-    return np.stack((first, np.cross(y, first)), axis=1) / SIGMA_RAD
-
-
-def points(rng, R, position, count=400, noise_rad=0., information=1e6, spread=0.3):
-    """Return Points 1 to 5 away from origins spread around zero, seen from a pose."""
-    x = unit(rng.normal(size=(count, 3)))
-    origins = rng.uniform(-spread, spread, size=(count, 3))
-    rho = rng.uniform(0.2, 1, size=count)
-    y = unit(R.apply(x - rho[:, None] * (position - origins)))
-    y = unit(y + noise_rad * rng.normal(size=y.shape))
-    return Points(x, origins, rho, np.full(count, float(information)), y, tangents(y))
 
 
 def fit(seen, estimator=fit_pose, R=Rotation.identity(), position=HERE, sigma=1.):
@@ -275,3 +256,28 @@ def test_some_of_the_points_are_those_points():
     np.testing.assert_array_equal(some.y, seen.y[[0, 2, 3]])
     np.testing.assert_array_equal(some.sqrt_information, seen.sqrt_information[[0, 2, 3]])
     np.testing.assert_array_equal(some.origins, seen[[0, 2, 3]].origins)
+
+
+@pytest.mark.parametrize('estimator', (fit_pose, fit_pose_among_movers))
+@pytest.mark.parametrize('unit_ratio', (0.3, 7., 100.))
+def test_the_unit_of_length_does_not_matter(unit_ratio, estimator):
+    rng = np.random.default_rng(14)
+    R = random_rotation(rng, 2)
+    seen = points(rng, R, POSITION, noise_rad=SIGMA_RAD, information=10.)
+    guess = 0.5 * POSITION
+    plain = fit(seen, estimator, position=guess, sigma=0.5)
+    other = fit(replace(seen, origins=unit_ratio * seen.origins,
+                        inverse_depths=seen.inverse_depths / unit_ratio,
+                        information=unit_ratio ** 2 * seen.information),
+                estimator, position=unit_ratio * guess, sigma=0.5 * unit_ratio)
+    # The last step may be left out in one and not in the other.
+    left = other.R_camera_world * plain.R_camera_world.inv()
+    assert left.magnitude() < 2 * STEP_TOLERANCE
+    np.testing.assert_allclose(other.position / unit_ratio, plain.position,
+                               atol=2 * STEP_TOLERANCE)
+    np.testing.assert_allclose(other.inverse_depths * unit_ratio, plain.inverse_depths, atol=1e-3)
+    # Whatever the axes: of a covariance by the other one all eigenvalues are 1.
+    units = np.diag((1, 1, 1, *3 * [1 / unit_ratio]))
+    ratios = np.linalg.eigvals(np.linalg.solve(
+        plain.covariance, units @ other.covariance @ units)).real
+    np.testing.assert_allclose(ratios, 1, rtol=0.02)
