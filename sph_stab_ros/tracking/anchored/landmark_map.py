@@ -17,6 +17,7 @@ from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bea
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
 from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Window
+from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
 from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, PatchStore
 from sph_stab_ros.tracking.anchored.pose_estimation import cauchy_weights
 from sph_stab_ros.tracking.anchored.table import Table
@@ -39,6 +40,8 @@ FIXED_KEYFRAMES = 10
 MAX_KEYFRAMES = 48
 # A landmark whose observations are trusted less than this on average is none.
 MIN_TRUST = 0.15
+# When the lenses are known better by so much, all keyframes are adjusted anew.
+LENSES_CHANGED_RAD = np.deg2rad(0.03)
 # The window's covariance takes observations for independent, which they are not.
 COVARIANCE_INFLATION = 4.0
 
@@ -110,6 +113,8 @@ class LandmarkMap:
     keyframes: list[Keyframe] = field(default_factory=list)
     landmarks: Landmarks | None = None
     store: PatchStore = field(default_factory=PatchStore)
+    lenses: Lenses = field(default_factory=Lenses)
+    _adjusted_apart: np.ndarray = field(default_factory=lambda: np.zeros(3))
     _next_keyframe: int = 0
     _next_landmark: int = 0
     _known_poses: tuple | None = None
@@ -129,11 +134,19 @@ class LandmarkMap:
                 for name in ('number', 'R', 'position'))
         return self._known_poses
 
+    def rays(self, rows, position):
+        """
+        Return vectors (N, 3) in the world to the landmarks in rows from a position.
+
+        Each in units of the landmark's distance from its host.
+        """
+        R, origins = self.hosts(rows)
+        return (np.einsum('nij,nj->ni', R, self.landmarks.x[rows])
+                - self.landmarks.inverse_depth[rows, None] * (position - origins))
+
     def directions(self, rows, position):
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
-        R, origins = self.hosts(rows)
-        z = (np.einsum('nij,nj->ni', R, self.landmarks.x[rows])
-             - self.landmarks.inverse_depth[rows, None] * (position - origins))
+        z = self.rays(rows, position)
         return z / np.linalg.norm(z, axis=1, keepdims=True)
 
     def add_keyframe(self, R_world_camera, position, covariance, grey, thumbnail, observations):
@@ -169,7 +182,8 @@ class LandmarkMap:
             wanted -= len(active)
             if len(active):
                 inverse_depth = max(np.median(self.landmarks.inverse_depth[active]), 1e-3)
-            there = self.directions(active, keyframe.position) @ keyframe.R
+            there = self.lenses.as_seen(
+                self.directions(active, keyframe.position) @ keyframe.R)
             free[near_pixels(pixels_from_bearings(there, width), width, MIN_DISTANCE_PX)] = 0
         uv = None if wanted <= 0 else cv2.goodFeaturesToTrack(
             cv2.GaussianBlur(grey, (0, 0), 0.8), wanted, MIN_CORNER_QUALITY, MIN_DISTANCE_PX,
@@ -184,7 +198,8 @@ class LandmarkMap:
         good = patches.deviations[:, 0] > MIN_CONTRAST
         n = good.sum()
         new = Landmarks(
-            self._next_landmark + np.arange(n), np.full(n, keyframe.number), x[good], east[good],
+            self._next_landmark + np.arange(n), np.full(n, keyframe.number),
+            self.lenses.corrected(x[good]), east[good],
             south[good], np.full(n, inverse_depth),
             np.full(n, FIRST_INFORMATION / inverse_depth ** 2), np.zeros(n, int),
             np.zeros(n, int), np.ones(n, bool), self.store.put(patches[good]))
@@ -195,6 +210,9 @@ class LandmarkMap:
     def adjust(self):
         """Adjust the last keyframes and what they saw; give up what does not fit."""
         first = max(len(self.keyframes) - ADJUSTED_KEYFRAMES, 1)
+        if np.linalg.norm(self.lenses.apart - self._adjusted_apart) > LENSES_CHANGED_RAD:
+            # What was adjusted before was adjusted to other bearings.
+            first, self._adjusted_apart = 1, self.lenses.apart
         seen_lately = np.concatenate([one.observations.number for one in self.keyframes[first:]])
         numbers = np.intersect1d(seen_lately, self.landmarks.number)
         if not len(numbers):
@@ -208,10 +226,11 @@ class LandmarkMap:
         point = np.searchsorted(numbers, seen.number)
         keyframe_numbers, R, positions = self._poses()
         host = np.searchsorted(keyframe_numbers, self.landmarks.host[rows])
-        adjusted = adjust(Window(
+        window = Window(
             R, positions, np.arange(len(self.keyframes)) >= first, host, self.landmarks.x[rows],
             self.landmarks.inverse_depth[rows], np.full(len(rows), 0.1 * FIRST_INFORMATION),
-            keyframe, point, seen.y, seen.sqrt_information), keep_distance=first == 1)
+            keyframe, point, seen.y, seen.sqrt_information)
+        adjusted = adjust(window, keep_distance=first == 1)
         self._known_poses = None
         base = self.keyframes[first - 1].covariance
         for i, one in enumerate(self.keyframes[first:]):
@@ -224,6 +243,13 @@ class LandmarkMap:
         count = np.bincount(point, minlength=len(rows))
         trust = np.bincount(point, adjusted.weights, len(rows)) / np.maximum(count, 1)
         self._keep(~np.isin(self.landmarks.number, numbers[(trust < MIN_TRUST) & (count > 1)]))
+        self._take_lenses_apart(self.lenses.learn(*lens_equations(window, adjusted)))
+
+    def _take_lenses_apart(self, rotvec):
+        """Correct all bearings known so far by a further rotation vector between the lenses."""
+        self.landmarks.x = apart(self.landmarks.x, rotvec)
+        for one in self.keyframes:
+            one.observations.y = apart(one.observations.y, rotvec)
 
     def shrink(self):
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""

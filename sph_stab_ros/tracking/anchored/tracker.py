@@ -26,10 +26,12 @@ from sph_stab_ros.images.texture import at_most, has_texture, TEXTURE_WIDTH as S
 from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MAX_LANDMARKS, Observations
 from sph_stab_ros.tracking.anchored.localization import (
-    localize, match_landmarks, MATURE_FRAMES, MIN_MATURE, MIN_POINTS)
+    DOUBTFUL, localize, match_landmarks, MATURE_FRAMES, MIN_MATURE, MIN_POINTS)
+from sph_stab_ros.tracking.anchored.map_initialization import Start
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.relocalization import Relocalizer, SIGMA_RAD
-from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, difference, Thumbnail
+from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns, Thumbnail
+from sph_stab_ros.tracking.anchored.wide_baseline import locate_widely
 from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.motion_model import MotionModel
 
@@ -48,14 +50,16 @@ POSITION_SIGMA_PER_S = 0.6
 MIN_POSITION_SIGMA = 0.02
 # After a longer time patches are searched coarsely first.
 MAX_FINE_S = 0.05
-# After a loss the last keyframes are tried, from these headings.
+# After a loss so many of the last keyframes are tried, from the likeliest headings.
 MAX_CANDIDATES = 6
-YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
 MAX_ATTEMPTS = 3
 # How a camera that was lost is turned nobody knows.
 LOST_RAD = 1.
-# A correction reaches the picture at this rate.
+# How quickly the usual scale of residuals follows that of each frame.
+SCALE_RATE = 0.1
+# A correction reaches the picture in steps of this size, or this share of what is left.
 MAX_CORRECTION_RAD = np.deg2rad(0.01)
+CORRECTED_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,9 @@ class AnchoredTracker:
         if not self._map.keyframes:
             self._start_map(frame, stamp_ns)
         else:
-            localization = self._locate(frame, stamp_ns) or self._relocalize_nearby(frame)
+            localization = (self._locate(frame, stamp_ns)
+                            or self._relocalize_nearby(frame, stamp_ns)
+                            or self._locate_widely(frame))
             if localization is None:
                 held = self._predicted(stamp_ns)
                 if held.status is TrackingStatus.LOST:
@@ -157,12 +163,15 @@ class AnchoredTracker:
         """Start a map in a world of its own, until the old one is recognised."""
         # Lost again before that, it is still the old one that counts.
         keyframes = (self._relocalizer or self._map).keyframes
-        used = cv2.resize(np.uint8(self._visible.pixels()), frame.grey.shape[::-1],
-                          interpolation=cv2.INTER_NEAREST) > 0
         self._relocalizer = Relocalizer(
-            keyframes, frame.grey, self._motion.R_world_camera, used)
+            keyframes, frame.grey, self._motion.R_world_camera, self._used_pixels(frame))
         self._covariance = LOST_RAD ** 2 * np.eye(3)
         self._start_map(frame, None)
+
+    def _used_pixels(self, frame):
+        """Return which pixels of the grey sphere show the world, (H, W) bool."""
+        return cv2.resize(np.uint8(self._visible.pixels()), frame.grey.shape[::-1],
+                          interpolation=cv2.INTER_NEAREST) > 0
 
     def _relocalize_globally(self):
         """Go on looking for the old world, and turn the new one into it once it is found."""
@@ -188,6 +197,9 @@ class AnchoredTracker:
             frame.thumbnail, Observations(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
         self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
         self._landmarks_at_keyframe = MAX_LANDMARKS
+        self._scale = 1.
+        self._start = None if self._map.landmarks is None else Start(
+            self._map, POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA)
 
     def _locate(self, frame, stamp_ns):
         """Return the Localization near where the camera is expected, None without."""
@@ -196,32 +208,46 @@ class AnchoredTracker:
         motion = self._motion
         R_camera_last = align_thumbnails(
             self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
+        if self._start is not None:
+            return self._start.localize(
+                frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
         elapsed_s = motion.trusted_s(stamp_ns)
         return localize(
             self._map, np.flatnonzero(self._map.landmarks.active), frame.pyramid,
             motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
-            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._visible.shows,
+            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._scale,
+            self._visible.shows,
             coarsely=elapsed_s > MAX_FINE_S)
 
-    def _relocalize_nearby(self, frame):
+    def _locate_widely(self, frame):
+        """Return the Localization somewhere near the last keyframe, None without."""
+        if self._map.landmarks is None:
+            return None
+        return locate_widely(
+            self._map, frame.grey, frame.pyramid, self._used_pixels(frame), POSITION_SIGMA_PER_S,
+            self._visible.shows, DOUBTFUL * self._scale)
+
+    def _relocalize_nearby(self, frame, stamp_ns):
         """Return the Localization near one of the last keyframes, whatever the camera has done."""
         if self._map.landmarks is None:
             return None
-        starts = []
-        for keyframe in self._map.keyframes[-MAX_CANDIDATES:]:
-            for yaw_rad in YAW_STARTS_RAD:
-                R_camera_key = align_thumbnails(keyframe.thumbnail, frame.thumbnail,
-                                                Rotation.from_rotvec((0, yaw_rad, 0)))
-                unlike = difference(keyframe.thumbnail, frame.thumbnail, R_camera_key)
-                starts.append((unlike, len(starts), keyframe, R_camera_key))
         landmarks = self._map.landmarks
-        for _, _, keyframe, R_camera_key in sorted(starts)[:MAX_ATTEMPTS]:
+        for keyframe, R_camera_key in likely_turns(
+                self._map.keyframes[-MAX_CANDIDATES:], frame.thumbnail)[:MAX_ATTEMPTS]:
+            if self._start is not None:
+                R_camera_last = (R_camera_key * rotation_from_matrix(keyframe.R).inv()
+                                 * self._motion.R_world_camera)
+                localization = self._start.localize(
+                    frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
+                if localization is not None:
+                    return localization
+                continue
             rows = np.flatnonzero((landmarks.host == keyframe.number)
                                   | np.isin(landmarks.number, keyframe.observations.number))
             localization = localize(
                 self._map, rows, frame.pyramid,
                 rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
-                POSITION_SIGMA_PER_S, self._visible.shows, coarsely=True)
+                POSITION_SIGMA_PER_S, self._scale, self._visible.shows, coarsely=True)
             if localization is not None:
                 landmarks.active[localization.rows] = True
                 landmarks.missed[localization.rows] = 0
@@ -235,22 +261,35 @@ class AnchoredTracker:
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
         self._visible.still.update(frame.small, step.inv())
         self._thumbnail = frame.thumbnail
+        self._scale += SCALE_RATE * (localization.pose.scale - self._scale)
+        R_world_first = rotation_from_matrix(self._map.keyframes[0].R)
         self._covariance = (self._map.keyframes[-1].covariance
-                            + rotate_covariance(pose.covariance[:3, :3], R_world_camera))
+                            + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
+                            + self._map.lenses.covariance(
+                                R_world_first.inv() * R_world_camera))
+        if self._start is not None:
+            # When another pose counts than did before, the picture follows smoothly.
+            self._R_out_world *= self._start.R_world_continued * R_world_camera.inv()
         left = self._R_out_world.as_rotvec()
         size = np.linalg.norm(left)
+        step = max(MAX_CORRECTION_RAD, CORRECTED_SHARE * size)
         self._R_out_world = Rotation.from_rotvec(
-            left * (max(0., size - MAX_CORRECTION_RAD) / max(size, 1e-12)))
+            left * (max(0., size - step) / max(size, 1e-12)))
 
     def _judge_landmarks(self, localization):
         """Note which landmarks agree; deactivate those that are not seen or do not."""
         landmarks, agreeing = self._map.landmarks, localization.agreeing
         good = localization.rows[agreeing]
         landmarks.inverse_depth[good] = localization.pose.inverse_depths[agreeing]
-        landmarks.agreed[localization.rows] += np.where(agreeing, 1, DISAGREEING)
+        if self._start is not None:
+            # Nobody is judged by a pose that may turn out to be wrong.
+            landmarks.agreed[:] = 0
+            landmarks.agreed[good] = MATURE_FRAMES
+        else:
+            landmarks.agreed[localization.rows] += np.where(agreeing, 1, DISAGREEING)
         np.minimum(landmarks.agreed, 2 * MATURE_FRAMES, out=landmarks.agreed)
         landmarks.missed[landmarks.active] += 1
-        landmarks.missed[good] = 0
+        landmarks.missed[good if self._start is None else localization.rows] = 0
         landmarks.active &= (landmarks.missed < MAX_MISSED) & (landmarks.agreed > MIN_AGREED)
 
     def _is_keyframe(self, localization):
@@ -261,6 +300,8 @@ class AnchoredTracker:
             - self._map.directions(some, last.position), axis=1))
         if parallax_rad > MAX_PARALLAX_RAD:
             return True
+        if self._start is not None:
+            return len(localization.rows) < MIN_SURVIVORS * len(self._map.landmarks)
         # In the beginning those that move by themselves must have time to tell.
         mature = (self._map.landmarks.agreed[seen] >= MATURE_FRAMES).sum()
         return len(seen) < (MIN_SURVIVORS * self._landmarks_at_keyframe
@@ -268,6 +309,7 @@ class AnchoredTracker:
 
     def _add_keyframe(self, frame, localization):
         """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
+        self._start = None
         motion, before = self._motion, self._motion.R_world_camera
         observations = [localization.observations(self._map.landmarks, localization.agreeing),
                         self._returning(frame)]
