@@ -152,7 +152,7 @@ class Player:
 
 
 class HeaderClock:
-    """Counts a topic's header stamps from the start of the recording, whatever clock they are of."""
+    """Counts a topic's stamps from the start of the recording, whatever clock they are of."""
 
     def __init__(self):
         self._clock = PictureClock()

@@ -79,7 +79,7 @@ class StabilizerNode(Node):
         self._settings = self._accepted_settings = declare_parameters(self)
         config = self._settings.config
         self._stabilizer = Stabilizer(config)
-        self._clock = PictureClock()
+        self._picture_clock = PictureClock()
         self._reset_wanted = False
 
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(),
@@ -187,7 +187,7 @@ class StabilizerNode(Node):
     def _track(self, msg, received_s):
         cpu = self._diagnostics.cpu
         with cpu.stage('decode'):
-            times = self._clock.decide(
+            times = self._picture_clock.decide(
                 Stamp(stamp_ns(msg.header.stamp), round(received_s * NS_PER_S)))
             self._judge_time(times)
             frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
@@ -221,7 +221,7 @@ class StabilizerNode(Node):
         self._stabilizer.reconfigure(self._settings.config)
 
     def _judge_time(self, times):
-        """Say what is wrong with stamps; reset where they went back for good, as bags that loop."""
+        """Say what is wrong with stamps; reset where they went back for good, as in a loop."""
         if times.event is TimeEvent.STEP_BACK:
             self._stabilizer.reset()
             self._stabilizer.forget_imu()

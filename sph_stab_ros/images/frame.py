@@ -25,8 +25,8 @@ class Frame:
     ``source`` is the picture, (H, W, 3) uint8 in BGR order or (H, W) uint8, which is not written
     to, or the JpegFile that holds it; which of its pixels shows what is the Projection's business,
     and whether its size fits the Stabilizer's. ``stamp_ns`` is the header's or the container's
-    time; ``frame_id`` names the camera's frame. ``times`` is what a PictureClock made of the stamp;
-    without, the stamp is taken as it is.
+    time; ``frame_id`` names the camera's frame. ``times`` is what a PictureClock made of the
+    stamp; without, the stamp is taken as it is.
     """
 
     source: Image | JpegFile
@@ -36,17 +36,17 @@ class Frame:
 
     @property
     def time_ns(self) -> int:
-        """The time on the timeline of the pictures, which takes part in no clock's steps."""
+        """Return the time on the timeline of the pictures, in which no clock is set."""
         return self.stamp_ns if self.times is None else self.times.time_ns
 
     @property
     def clock_ns(self) -> int:
-        """The time by the clock of the stamps, which an IMU's are of, too."""
+        """Return the time by the clock of the stamps, which an IMU's are of, too."""
         return self.stamp_ns if self.times is None else self.times.clock_ns
 
     @property
     def image(self) -> Image:
-        """The picture, decoded when it is asked for first; ImageError where it cannot be."""
+        """Return the picture, decoded when first asked for; ImageError where it cannot be."""
         return self.source.image if isinstance(self.source, JpegFile) else self.source
 
     @property

@@ -29,7 +29,7 @@ class TimeEvent(Enum):
 
 
 class Stamp(NamedTuple):
-    """The stamp of a picture, None where it has none, and when it was received if that is known."""
+    """The stamp of a picture, None without one, and when it was received if that is known."""
 
     stamp_ns: int | None
     received_ns: int | None = None

@@ -128,8 +128,8 @@ class PictureClock:
     def _begun(self, picture: _Picture, upcoming: Sequence[Stamp]) -> PictureTime:
         """Return the time of the first picture that has a stamp."""
         following, after, *_ = *(u for u in upcoming if u.stamp_ns is not None), None, None
-        if following is not None and after is not None and self._follows(following, after) and not (
-                self._follows(picture, following) or self._follows(picture, after)):
+        if (following is not None and after is not None and self._follows(following, after)
+                and not (self._follows(picture, following) or self._follows(picture, after))):
             return self._apart(picture, upcoming)
         return self._accepted(picture)
 

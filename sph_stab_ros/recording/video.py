@@ -93,13 +93,15 @@ class VideoRecording:
     def _stamped(self, container: 'av.container.InputContainer', stream: 'av.VideoStream',
                  rate: Fraction) -> Iterator[tuple[Stamp, 'av.VideoFrame']]:
         """Yield the whole pictures in the order of presentation with their Stamps."""
-        has_times = not container.format.flags & NO_TIMES
+        name = container.format.name
+        # Files of one JPEG picture after the other.
+        has_times = not container.format.flags & NO_TIMES and not name.endswith('_pipe')
         if not has_times:
             logger.warning('%s has no times: %g pictures a second are assumed',
                            self.name, float(rate))
-        # AVI knows the order of decoding alone; pictures leave the decoder in that of presentation.
+        # AVI knows the order of decoding alone; the decoder puts pictures into that of showing.
         in_order: deque[int] | None = None
-        if container.format.name == 'avi' and stream.codec_context.has_b_frames:
+        if name == 'avi':
             in_order = deque()
             logger.warning('%s has no times of presentation: the pictures are taken in order, at '
                            '%g a second', self.name, float(rate))

@@ -36,7 +36,8 @@ class VideoWriter:
     An MP4 file (H.264), written picture by picture; a context manager.
 
     The times of the pictures are what a PictureClock makes of those given, counted from the first:
-    they increase whatever is given, and good ones stay. All pictures are of the first one's size; an odd row or column is doubled, as H.264 needs even sizes.
+    they increase whatever is given, and good ones stay. All pictures are of the first one's size;
+    an odd row or column is doubled, as H.264 needs even sizes.
     """
 
     def __init__(self, path: Path) -> None:
