@@ -131,6 +131,9 @@ class PictureClock:
         if (following is not None and after is not None and self._follows(following, after)
                 and not (self._follows(picture, following) or self._follows(picture, after))):
             return self._apart(picture, upcoming)
+        if self._last is not None and picture.time_ns - self._last.time_ns > MAX_PAUSE_NS:
+            # What was filled in before was of another clock.
+            return self._stepped(picture._replace(time_ns=self._next_time_ns(picture)))
         return self._accepted(picture)
 
     def _accepted(self, picture: _Picture) -> PictureTime:
@@ -215,8 +218,10 @@ class PictureClock:
             ((n, u) for n, u in enumerate(upcoming, 1) if u.stamp_ns is not None), (1, None))
         if good is None:
             time_ns = self._time_before_first(stamp, following or self._first, steps)
-            return time_ns if last is None else max(
-                time_ns, last.time_ns + self._least_step_ns)
+            if last is None:
+                return time_ns
+            return (self._next_time_ns(stamp) if time_ns - last.time_ns > MAX_PAUSE_NS
+                    else max(time_ns, last.time_ns + self._least_step_ns))
         assert last is not None
         if following is not None and self._follows(good, following):
             between_ns = _reading(following) - self._offset_ns - last.time_ns
