@@ -53,6 +53,8 @@ from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import frame_from_message
+from sph_stab_ros.images.picture_time import Stamp, TimeEvent, told
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
@@ -67,8 +69,6 @@ from std_srvs.srv import Trigger
 
 DIAGNOSTICS_PERIOD_S = 1.0
 SWITCH_INTERVAL_S = 0.0005
-# Stamps that jitter by less are no jump back in time.
-MAX_JITTER_S = 0.1
 
 
 class StabilizerNode(Node):
@@ -79,7 +79,7 @@ class StabilizerNode(Node):
         self._settings = self._accepted_settings = declare_parameters(self)
         config = self._settings.config
         self._stabilizer = Stabilizer(config)
-        self._last_stamp_ns = 0
+        self._picture_clock = PictureClock()
         self._reset_wanted = False
 
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(),
@@ -187,12 +187,14 @@ class StabilizerNode(Node):
     def _track(self, msg, received_s):
         cpu = self._diagnostics.cpu
         with cpu.stage('decode'):
-            frame = frame_from_message(msg, stamp_ns(msg.header.stamp), msg.header.frame_id)
+            times = self._picture_clock.decide(
+                Stamp(stamp_ns(msg.header.stamp), round(received_s * NS_PER_S)))
+            self._judge_time(times)
+            frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
             if self._outputs.pictures_wanted:
                 frame.load()
         with cpu.stage('track'):
             self._take_over_what_is_wanted()
-            self._start_anew_where_time_went_back(frame.stamp_ns)
             stabilized = self._stabilizer.process(frame)
         pictures = self._outputs.publish_orientation(stabilized)
         self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
@@ -218,15 +220,16 @@ class StabilizerNode(Node):
             self._reset_wanted = False
         self._stabilizer.reconfigure(self._settings.config)
 
-    def _start_anew_where_time_went_back(self, time_ns):
-        """Reset before an image from the past: a bag begins again, a simulation was reset."""
-        back_s = (self._last_stamp_ns - time_ns) / NS_PER_S
-        self._last_stamp_ns = time_ns
-        if back_s > MAX_JITTER_S:
+    def _judge_time(self, times):
+        """Say what is wrong with stamps; reset where they went back for good, as in a loop."""
+        if times.event is TimeEvent.STEP_BACK:
             self._stabilizer.reset()
             self._stabilizer.forget_imu()
-            self._diagnostics.event('time_went_back', f'the stamps went back by {back_s:.3f} s, '
-                                    'reset: this image defines the stabilized frame')
+            self._diagnostics.event(
+                times.event.value, f'the stamps went back by {-times.by_ns / NS_PER_S:.3f} s, '
+                'reset: this image defines the stabilized frame')
+        elif times.event is not None:
+            self._diagnostics.event(times.event.value, told(times))
 
 
 def main(args=None):

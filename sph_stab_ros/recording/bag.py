@@ -11,6 +11,7 @@
 from collections import Counter
 from collections.abc import Generator, Iterator
 from functools import cache
+from itertools import islice
 import logging
 from pathlib import Path
 import sys
@@ -26,9 +27,12 @@ else:
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame, frame_from_message
+from sph_stab_ros.images.picture_time import Stamp
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError, SkipLog
 from sph_stab_ros.recording.containers import Channel, Containers
 from sph_stab_ros.recording.containers.kinds import ZSTD
+from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times
 
 logger = logging.getLogger(__name__)
 
@@ -37,6 +41,8 @@ IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 ENCODINGS = {'cdr': (Stores.ROS2_JAZZY, 'deserialize_cdr'),
              'ros1': (Stores.ROS1_NOETIC, 'deserialize_ros1')}
 types_of = cache(get_typestore)
+# Drivers that stamp with zero until they have the time have it by then.
+MAX_UNSTAMPED = 300
 
 
 class BagRecording:
@@ -73,23 +79,26 @@ class BagRecording:
         return self._skip_log.counts
 
     def frames(self) -> Generator[Frame, None, None]:
-        """Yield the Frames of the image topic; header stamps, or times of receipt where zero."""
+        """Yield the Frames of the image topic; header stamps, or times of receipt without any."""
         self._skip_log = SkipLog(self.name)
-        said_zero = False
-        for received_ns, msg in self.messages(self._images):
-            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
-            if stamp_ns == 0:
-                stamp_ns = received_ns
-                if not said_zero:
-                    logger.warning('%s: header stamps are zero, times of receipt are used',
-                                   self.name)
-                said_zero = True
+        first, stamped = peeked(self._stamped())
+        known = first_stamp([first[0]]) if first else None
+        if first and known is None:
+            # Only here, as it takes to read the beginning twice.
+            known = first_stamp(stamp for stamp, _ in islice(self._stamped(), MAX_UNSTAMPED))
+        for times, msg in with_times(self.name, stamped, PictureClock(first=known)):
             try:
-                frame = frame_from_message(msg, stamp_ns, msg.header.frame_id)
+                frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
             except ImageError as error:
                 self._skip_log.add(error.reason, error)
             else:
                 yield frame
+
+    def _stamped(self) -> Iterator[tuple[Stamp, Any]]:
+        """Yield the messages of the image topic with their stamps."""
+        for received_ns, msg in self.messages(self._images):
+            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
+            yield Stamp(stamp_ns or None, received_ns), msg
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time of receipt in ns, message) of a topic; messages of rosbags' types."""
