@@ -281,10 +281,13 @@ def test_what_is_no_recording_is_named(name, content, what, tmp_path):
     assert '\n' not in str(error.value) and name in str(error.value)
 
 
+@pytest.mark.parametrize('content', [
+    os.urandom(5000), b'x', b'\x89MCAP0\r\n', 2 * b'\x89MCAP0\r\n', b'#ROSBAG V2.0\n',
+    b'SQLite format 3\0'], ids=['random', 'short', 'mcap', 'mcap_ends', 'ros1', 'sqlite'])
 @pytest.mark.parametrize('suffix', ['.bag', '.mcap', '.db3'])
-def test_bytes_of_nothing_are_refused(suffix, tmp_path):
-    """As encrypted files look."""
-    (tmp_path / f'a{suffix}').write_bytes(os.urandom(5000))
+def test_bytes_of_nothing_are_refused(suffix, content, tmp_path):
+    """Random ones are what encrypted files look like; the others hold no more than a beginning."""
+    (tmp_path / f'a{suffix}').write_bytes(content)
     with pytest.raises(RecordingError, match='holds no messages; damaged, encrypted or'):
         open_recording(tmp_path / f'a{suffix}')
 

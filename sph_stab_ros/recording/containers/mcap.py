@@ -50,7 +50,7 @@ class McapFile(RecordFile):
         """Return the counts in the summary section, or None where it cannot be trusted."""
         with self.path.open('rb') as file:
             source = Source(file)
-            end = source.size - FOOTER_BYTES
+            end = max(source.size - FOOTER_BYTES, 0)
             footer = source.read(end, FOOTER_BYTES)
             if len(footer) < FOOTER_BYTES or not footer.endswith(MAGIC) or footer[0] != FOOTER:
                 return None
