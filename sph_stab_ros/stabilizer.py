@@ -28,20 +28,24 @@ that come faster than that are dropped and counted. No lock is held meanwhile: w
 is left for the workers, who take it over before the next image.
 """
 
+from collections.abc import Callable
 from functools import partial
 import os
 import signal
 import sys
 from time import monotonic
+from typing import Any
 
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import Parser
@@ -61,6 +65,7 @@ from sph_stab_ros.ros.outputs import Outputs
 from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
+from sph_stab_ros.stabilization.outputs import Output
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -74,7 +79,7 @@ MAX_JITTER_S = 0.1
 class StabilizerNode(Node):
     """Subscribes to images and publishes what the Stabilizer makes of them."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('stabilizer')
         self._settings = self._accepted_settings = declare_parameters(self)
         config = self._settings.config
@@ -111,12 +116,12 @@ class StabilizerNode(Node):
                 self.get_logger().warning(f"there is no parameter '{name}'")
         self.get_logger().info(f'waiting for images on {images.topic_name}')
 
-    def start(self):
+    def start(self) -> None:
         """Start the workers."""
         self._tracking.start()
         self._drawing.start()
 
-    def destroy_node(self):
+    def destroy_node(self) -> None:
         """Let the workers finish their frames, then destroy the node."""
         self._tracking.close()
         self._drawing.close()
@@ -124,20 +129,20 @@ class StabilizerNode(Node):
 
     # In the executor's thread.
 
-    def _on_image(self, msg):
+    def _on_image(self, msg: Any) -> None:
         if stamp_ns(msg.header.stamp) == 0:
             self.get_logger().warning(
                 'image stamps are zero, times of receipt are used', once=True)
             msg.header.stamp = self.get_clock().now().to_msg()
         self._tracking.put(msg, monotonic())
 
-    def _on_reset(self, request, response):
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._reset_wanted = True
         self.get_logger().info('reset: the next image defines the stabilized frame')
         return Trigger.Response(
             success=True, message='the next image defines the stabilized frame')
 
-    def _on_level(self, request, response):
+    def _on_level(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             if self._reset_wanted:
                 raise LevelError('there is no picture since the reset yet')
@@ -147,25 +152,26 @@ class StabilizerNode(Node):
         return Trigger.Response(
             success=True, message='the present orientation becomes level')
 
-    def _on_look_at_home(self, request, response):
+    def _on_look_at_home(
+            self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._outputs.look_home()
         return Trigger.Response(
             success=True, message="all views look at the stabilized frame's front")
 
-    def _check_parameters(self, parameters):
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
             self._accepted_settings = changed(self._settings, parameters)
         except (ConfigError, MaskError) as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _apply_parameters(self, parameters):
+    def _apply_parameters(self, parameters: list[Parameter]) -> None:
         """Take over what was accepted, after rclpy's own checks and those of others."""
         self._settings = self._accepted_settings
         self._outputs.reconfigure(self._settings, {one.name for one in parameters})
         self._imu.listen(self._settings.config.level == IMU)
 
-    def _publish_diagnostics(self):
+    def _publish_diagnostics(self) -> None:
         self._diagnostics_publisher.publish(DiagnosticArray(
             header=Header(stamp=self.get_clock().now().to_msg()),
             status=[self._diagnostics.status(self._tracking.dropped, self._drawing.dropped)]))
@@ -173,7 +179,7 @@ class StabilizerNode(Node):
 
     # In the workers' threads.
 
-    def _safely(self, work, *item):
+    def _safely(self, work: Callable[..., None], *item: Any) -> None:
         """Do some work: one frame must not end the node."""
         try:
             work(*item)
@@ -184,7 +190,7 @@ class StabilizerNode(Node):
             if self.context.ok():
                 self._diagnostics.refuse(type(error).__name__, f'{error!r}')
 
-    def _track(self, msg, received_s):
+    def _track(self, msg: Any, received_s: float) -> None:
         cpu = self._diagnostics.cpu
         with cpu.stage('decode'):
             frame = frame_from_message(msg, stamp_ns(msg.header.stamp), msg.header.frame_id)
@@ -199,7 +205,7 @@ class StabilizerNode(Node):
         self._drawing.put(pictures, received_s)
         self._settle()
 
-    def _settle(self):
+    def _settle(self) -> None:
         """Do what the orientation has not waited for; the image was used whatever comes of it."""
         try:
             with self._diagnostics.cpu.stage('track'):
@@ -207,18 +213,18 @@ class StabilizerNode(Node):
         except Exception as error:
             self._diagnostics.event('keyframe_failed', f'a keyframe was given up: {error!r}')
 
-    def _draw(self, pictures, received_s):
+    def _draw(self, pictures: list[Output], received_s: float) -> None:
         self._outputs.publish(pictures)
         self._diagnostics.count_latency(monotonic() - received_s)
 
-    def _take_over_what_is_wanted(self):
+    def _take_over_what_is_wanted(self) -> None:
         if self._reset_wanted:
             self._stabilizer.reset()
             # Only now: until then there is nothing that ~/level could mean.
             self._reset_wanted = False
         self._stabilizer.reconfigure(self._settings.config)
 
-    def _start_anew_where_time_went_back(self, time_ns):
+    def _start_anew_where_time_went_back(self, time_ns: int) -> None:
         """Reset before an image from the past: a bag begins again, a simulation was reset."""
         back_s = (self._last_stamp_ns - time_ns) / NS_PER_S
         self._last_stamp_ns = time_ns
@@ -229,7 +235,7 @@ class StabilizerNode(Node):
                                     'reset: this image defines the stabilized frame')
 
 
-def main(args=None):
+def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM and return 0, or 2 where it cannot start."""
     parser = Parser(
         'stabilizer', description="Takes the rotation out of a spherical camera's video.",

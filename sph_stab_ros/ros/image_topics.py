@@ -13,13 +13,20 @@ Remapping ``image`` takes ``image/compressed`` along, unless that is remapped it
 of service can be overridden by parameters (``qos_overrides.<topic>.publisher.depth``, …).
 """
 
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, Image
 from sph_stab_ros.stabilization.outputs import COMPRESSED
 
 
-def subscribe_to_images(node, topic, transport, callback):
+def subscribe_to_images(node: Node, topic: str, transport: str,
+                        callback: Callable[[Any], None]) -> Subscription:
     """Subscribe to ``topic`` as 'raw' or 'compressed' images, as sensor data."""
     compressed = transport == 'compressed'
     return subscribe(
@@ -28,26 +35,27 @@ def subscribe_to_images(node, topic, transport, callback):
         QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
 
 
-def subscribe(node, msg_type, topic, callback, qos=10):
+def subscribe(node: Node, msg_type: type[Any], topic: str, callback: Callable[[Any], None],
+              qos: QoSProfile | int = 10) -> Subscription:
     """Return a subscription; ``qos`` is a QoSProfile or the depth of a reliable one."""
     return node.create_subscription(
         msg_type, topic, callback, qos,
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
-def advertise(node, msg_type, topic, depth=5):
+def advertise(node: Node, msg_type: type[Any], topic: str, depth: int = 5) -> Publisher:
     """Return a publisher, reliable so that every subscriber matches (REP 2003)."""
     return node.create_publisher(
         msg_type, topic, QoSProfile(depth=depth),
         qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
 
-def is_wanted(publisher):
+def is_wanted(publisher: Publisher) -> bool:
     """Tell whether anybody subscribes to a publisher's topic."""
     return publisher.get_subscription_count() > 0
 
 
-def compressed_topic(node, topic):
+def compressed_topic(node: Node, topic: str) -> str:
     """Return where the compressed images of ``topic`` are, remappings considered."""
     name = topic + COMPRESSED
     if node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True):

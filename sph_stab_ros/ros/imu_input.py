@@ -8,10 +8,15 @@
 
 """The IMU's messages on the way to the stabiliser."""
 
+from collections.abc import Callable
+
+from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu
+from sph_stab_ros.ros.diagnostics import Diagnostics
 from sph_stab_ros.ros.image_topics import subscribe
-from sph_stab_ros.stabilization.imu import imu_sample, ImuError
+from sph_stab_ros.stabilization.imu import imu_sample, ImuError, ImuSample
 
 # What comes while the executor is busy otherwise.
 DEPTH = 100
@@ -31,14 +36,15 @@ class ImuInput:
 
     """
 
-    def __init__(self, node, take, diagnostics):
+    def __init__(self, node: Node, take: Callable[[ImuSample], None],
+                 diagnostics: Diagnostics) -> None:
         self._node = node
         self._take = take
         self._diagnostics = diagnostics
-        self._subscription = None
+        self._subscription: Subscription | None = None
         self._listening = False
 
-    def listen(self, wanted):
+    def listen(self, wanted: bool) -> None:
         """Listen from now on, or do not."""
         if wanted == self._listening:
             return
@@ -48,10 +54,10 @@ class ImuInput:
             self._subscription = subscribe(
                 self._node, Imu, 'imu', self._on_imu,
                 QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
-        else:
+        elif self._subscription:
             self._node.destroy_subscription(self._subscription)
 
-    def _on_imu(self, msg):
+    def _on_imu(self, msg: Imu) -> None:
         try:
             sample = imu_sample(msg, self._node.get_clock().now().nanoseconds)
         except ImuError as error:
