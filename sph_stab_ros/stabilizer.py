@@ -46,6 +46,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import Parser
@@ -57,7 +58,7 @@ from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.jpeg_frame import frame_from_message
-from sph_stab_ros.ros.diagnostics import Diagnostics, ThrottledLog
+from sph_stab_ros.ros.diagnostics import Diagnostics, LOG_PERIOD_S, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.messages import stamp_ns
@@ -108,11 +109,9 @@ class StabilizerNode(Node):
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
-        # A file of all defaults describes the view that there is by default, and the IMU may be
-        # listened to later.
-        later = f'{VIEW}.', f"qos_overrides.{self.resolve_topic_name('imu')}."
+        # A file of all defaults describes the view that there is by default, used or not.
         for name in undeclared_overrides(self):
-            if not name.startswith(later):
+            if not name.startswith(f'{VIEW}.'):
                 self.get_logger().warning(f"there is no parameter '{name}'")
         self.get_logger().info(f'waiting for images on {images.topic_name}')
 
@@ -120,6 +119,19 @@ class StabilizerNode(Node):
         """Start the workers."""
         self._tracking.start()
         self._drawing.start()
+
+    def serve(self) -> None:
+        """Serve the middleware until it is shut down, whatever one callback may fail at."""
+        while self.context.ok():
+            try:
+                rclpy.spin(self)
+            except ExternalShutdownException:
+                return
+            except Exception as error:
+                # After a shutdown nothing can be served.
+                if self.context.ok():
+                    self.get_logger().error(f'a message or a call made no sense: {error!r}',
+                                            throttle_duration_sec=LOG_PERIOD_S)
 
     def destroy_node(self) -> None:
         """Let the workers finish their frames, then destroy the node."""
@@ -260,10 +272,9 @@ def main(args: list[str] | None = None) -> int:
     try:
         node = StabilizerNode()
         node.start()
-        rclpy.spin(node)
-    except ExternalShutdownException:
-        pass
-    except (ConfigError, MaskError, ParameterException, RuntimeError) as error:
+        node.serve()
+    except (ConfigError, MaskError, ParameterException, InvalidQosOverridesError,
+            RuntimeError) as error:
         # A signal shuts rclpy down at any time; its calls then fail with a RuntimeError.
         if rclpy.ok():
             if node:

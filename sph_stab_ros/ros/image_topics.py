@@ -16,6 +16,7 @@ of service can be overridden by parameters (``qos_overrides.<topic>.publisher.de
 from collections.abc import Callable
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -23,6 +24,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, Image
 from sph_stab_ros.stabilization.outputs import COMPRESSED
+
+# The middleware counts in 32 bits.
+MAX_DEPTH = 2**31 - 1
 
 
 def subscribe_to_images(node: Node, topic: str, transport: str,
@@ -39,15 +43,13 @@ def subscribe(node: Node, msg_type: type[Any], topic: str, callback: Callable[[A
               qos: QoSProfile | int = 10) -> Subscription:
     """Return a subscription; ``qos`` is a QoSProfile or the depth of a reliable one."""
     return node.create_subscription(
-        msg_type, topic, callback, qos,
-        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        msg_type, topic, callback, qos, qos_overriding_options=_overriding())
 
 
 def advertise(node: Node, msg_type: type[Any], topic: str, depth: int = 5) -> Publisher:
     """Return a publisher, reliable so that every subscriber matches (REP 2003)."""
     return node.create_publisher(
-        msg_type, topic, QoSProfile(depth=depth),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        msg_type, topic, QoSProfile(depth=depth), qos_overriding_options=_overriding())
 
 
 def is_wanted(publisher: Publisher) -> bool:
@@ -61,3 +63,18 @@ def compressed_topic(node: Node, topic: str) -> str:
     if node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True):
         return name
     return node.resolve_topic_name(topic) + COMPRESSED
+
+
+def _overriding() -> QoSOverridingOptions:
+    return QoSOverridingOptions.with_default_policies(callback=_checked)
+
+
+def _checked(qos: QoSProfile) -> SetParametersResult:
+    """Refuse what rclpy lets pass and the middleware then fails at."""
+    if not 1 <= qos.depth <= MAX_DEPTH:
+        return SetParametersResult(
+            successful=False, reason=f'a depth is at least 1 and at most {MAX_DEPTH}')
+    if 'UNKNOWN' in (qos.history.name, qos.reliability.name):
+        return SetParametersResult(
+            successful=False, reason="history and reliability cannot be 'unknown'")
+    return SetParametersResult(successful=True)

@@ -43,19 +43,24 @@ class ImuInput:
         self._diagnostics = diagnostics
         self._subscription: Subscription | None = None
         self._listening = False
+        # For a moment: what users say of its quality of service is checked at the start, whether
+        # it is listened to by then or later.
+        node.destroy_subscription(self._subscribed())
 
     def listen(self, wanted: bool) -> None:
         """Listen from now on, or do not."""
         if wanted == self._listening:
             return
-        # Before what follows, which declares parameters, of which the node is told.
         self._listening = self._diagnostics.listens_to_imu = wanted
         if wanted:
-            self._subscription = subscribe(
-                self._node, Imu, 'imu', self._on_imu,
-                QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+            self._subscription = self._subscribed()
         elif self._subscription:
             self._node.destroy_subscription(self._subscription)
+
+    def _subscribed(self) -> Subscription:
+        return subscribe(
+            self._node, Imu, 'imu', self._on_imu,
+            QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
 
     def _on_imu(self, msg: Imu) -> None:
         try:

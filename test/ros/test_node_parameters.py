@@ -22,6 +22,8 @@ from tiny_recordings import stamps_of, turning_spheres
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
 from sph_stab_ros.ros.parameters import declare_parameters  # noqa: E402
@@ -109,6 +111,27 @@ def test_refusals_name_the_reason_and_change_nothing(tmp_path):
         assert peer.get_parameters(*NODE_PARAMETERS) == before
 
 
+def test_no_value_and_no_call_ends_the_node(tmp_path):
+    closed = tmp_path / 'closed'
+    closed.mkdir(mode=0o000)
+    # A picture of a billion pixels, by its header.
+    huge = tmp_path / 'huge.pgm'
+    huge.write_bytes(b'P5 60000 30000 255 ')
+    masks = 'x' * 5000, f'{closed}/mask.png', str(tmp_path), str(huge)
+    nothing = ParameterValue(type=ParameterType.PARAMETER_NOT_SET)
+    with stabilizer(tmp_path) as peer:
+        for mask in masks:
+            answer, = peer.set_parameters(mask=mask)
+            assert 'cannot be read as an image' in answer
+        for value in (nothing, ParameterValue(type=77)):
+            # That rclpy itself answers is not ours to promise.
+            peer.call_in_vain(SetParameters, 'stabilizer/set_parameters', SetParameters.Request(
+                parameters=[Parameter(name='level', value=value)]))
+        assert peer.set_parameters(level='imu') == ['']
+        peer.wait_until(lambda: peer.subscribers('/imu') == ['stabilizer'])
+        peer.stabilize(turning_spheres(1)[0][0], 1)
+
+
 @pytest.mark.parametrize('arguments, reason', (
     (['-p', 'estimator:=best'], 'estimator is one of'),
     (['-p', 'view.hfov_deg:=500.0'], 'out of range'),
@@ -121,6 +144,13 @@ def test_refusals_name_the_reason_and_change_nothing(tmp_path):
     (['-p', 'views:=[stabilized]'], "'stabilized' cannot be a view: something else"),
     (['-p', 'view.frame_id:=stabilized_optical'], 'must be different names'),
     (['-p', 'nonsense'], 'nonsense'),
+    (['-p', 'qos_overrides./image.subscription.reliability:=reliabel'], 'reliabel'),
+    # What is listened to later, if at all, is checked now.
+    (['-p', 'qos_overrides./imu.subscription.reliability:=reliabel'], 'reliabel'),
+    (['-p', 'qos_overrides./imu.subscription.depth:=-1'], 'a depth is at least 1'),
+    (['-p', 'qos_overrides./view/image.publisher.depth:=-1'], 'a depth is at least 1'),
+    (['-p', 'qos_overrides./orientation.publisher.depth:=99999999999999'], 'a depth is at least'),
+    (['-p', 'qos_overrides./orientation.publisher.reliability:=unknown'], "cannot be 'unknown'"),
 ))
 def test_it_does_not_start_with_wrong_values(arguments, reason):
     done = start('--ros-args', *arguments)

@@ -256,6 +256,14 @@ class Peer:
                     return values
         return self.wait_until(found)
 
+    def call_in_vain(self, service_type, service, request):
+        """Call a service that may not answer."""
+        client = self._node.create_client(service_type, service)
+        self.wait_until(client.service_is_ready)
+        client.call_async(request)
+        self.spin_for(SETTLING_S)
+        self._node.destroy_client(client)
+
     def _call(self, future):
         self.wait_until(future.done)
         return future.result()
