@@ -19,12 +19,14 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, Image
 from sph_stab_ros.stabilization.outputs import COMPRESSED
 
+POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
+            QoSPolicyKind.DURABILITY)
 # The middleware counts in 32 bits.
 MAX_DEPTH = 2**31 - 1
 
@@ -53,8 +55,9 @@ def advertise(node: Node, msg_type: type[Any], topic: str, depth: int = 5) -> Pu
 
 
 def is_wanted(publisher: Publisher) -> bool:
-    """Tell whether anybody subscribes to a publisher's topic."""
-    return publisher.get_subscription_count() > 0
+    """Tell whether anybody subscribes to a publisher's topic, or may later and wants the last."""
+    return (publisher.get_subscription_count() > 0
+            or publisher.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def compressed_topic(node: Node, topic: str) -> str:
@@ -66,7 +69,7 @@ def compressed_topic(node: Node, topic: str) -> str:
 
 
 def _overriding() -> QoSOverridingOptions:
-    return QoSOverridingOptions.with_default_policies(callback=_checked)
+    return QoSOverridingOptions(POLICIES, callback=_checked)
 
 
 def _checked(qos: QoSProfile) -> SetParametersResult:
@@ -74,7 +77,6 @@ def _checked(qos: QoSProfile) -> SetParametersResult:
     if not 1 <= qos.depth <= MAX_DEPTH:
         return SetParametersResult(
             successful=False, reason=f'a depth is at least 1 and at most {MAX_DEPTH}')
-    if 'UNKNOWN' in (qos.history.name, qos.reliability.name):
-        return SetParametersResult(
-            successful=False, reason="history and reliability cannot be 'unknown'")
+    if 'UNKNOWN' in (qos.history.name, qos.reliability.name, qos.durability.name):
+        return SetParametersResult(successful=False, reason="no policy can be 'unknown'")
     return SetParametersResult(successful=True)

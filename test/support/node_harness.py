@@ -127,9 +127,9 @@ class Peer:
         msg_type, = (TYPES[end] for end in TYPES if topic.endswith(end))
         self.subscribe(msg_type, topic, self.received[topic].append)
 
-    def subscribe(self, msg_type, topic, callback):
+    def subscribe(self, msg_type, topic, callback, qos=10):
         """Subscribe to a topic of any type, once it is published; return what unsubscribes."""
-        subscription = self._node.create_subscription(msg_type, topic, callback, 10)
+        subscription = self._node.create_subscription(msg_type, topic, callback, qos)
         self.wait_until(lambda: self._node.count_publishers(topic))
         return lambda: self._node.destroy_subscription(subscription)
 
