@@ -100,7 +100,7 @@ class StabilizerNode(Node):
         self._tracking = Worker('tracking', partial(self._safely, self._track))
         self._drawing = Worker('drawing', partial(self._safely, self._draw))
         images = subscribe_to_images(self, 'image', config.image_transport, self._on_image)
-        self._imu = ImuInput(self, self._stabilizer.add_imu, self._diagnostics)
+        self._imu = ImuInput(self, self._stabilizer.add_imu_samples, self._diagnostics)
         self._imu.listen(config.level == IMU)
 
         self._diagnostics_publisher = advertise(self, DiagnosticArray, '/diagnostics', depth=10)
@@ -184,6 +184,7 @@ class StabilizerNode(Node):
         self._imu.listen(self._settings.config.level == IMU)
 
     def _publish_diagnostics(self) -> None:
+        self._imu.collect()
         self._diagnostics_publisher.publish(DiagnosticArray(
             header=Header(stamp=self.get_clock().now().to_msg()),
             status=[self._diagnostics.status(self._tracking.dropped, self._drawing.dropped)]))
@@ -208,6 +209,8 @@ class StabilizerNode(Node):
             frame = frame_from_message(msg, stamp_ns(msg.header.stamp), msg.header.frame_id)
             if self._outputs.pictures_wanted:
                 frame.load()
+        with cpu.stage('imu'):
+            self._imu.collect()
         with cpu.stage('track'):
             self._take_over_what_is_wanted()
             self._start_anew_where_time_went_back(frame.stamp_ns)

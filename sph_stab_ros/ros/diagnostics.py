@@ -49,7 +49,7 @@ class Diagnostics:
         self._log = ThrottledLog(warn)
         self._lock = Lock()
         self._frames = 0
-        self._imu_refused = 0
+        self._imu_samples = self._imu_refused = 0
         self._refused: Counter[str] = Counter()
         self._events: Counter[str] = Counter()
         self._tracking: Counter[TrackingStatus] = Counter()
@@ -95,10 +95,11 @@ class Diagnostics:
             self._last_refusal = reason
         self._log.warn(reason, f'image refused, {detail}')
 
-    def count_imu(self) -> None:
-        """Count a sample of the IMU."""
+    def count_imu(self, samples: int) -> None:
+        """Count samples of the IMU."""
         with self._lock:
-            self._imu_samples += 1
+            self._imu_samples += samples
+            self._imu_samples_in_period += samples
 
     def refuse_imu(self, error: Exception) -> None:
         """Count a message of the IMU's that cannot be used."""
@@ -149,12 +150,13 @@ class Diagnostics:
         return values
 
     def _of_imu(self, elapsed_s: float) -> dict[str, Any]:
-        return {'imu_rate_hz': f'{self._imu_samples / elapsed_s:.1f}',
+        return {'imu_rate_hz': f'{self._imu_samples_in_period / elapsed_s:.1f}',
+                'imu_samples': self._imu_samples,
                 'imu_refused': self._imu_refused} if self.listens_to_imu else {}
 
     def _start_period(self) -> None:
         self._period_start_s = monotonic()
-        self._imu_samples = 0
+        self._imu_samples_in_period = 0
         self._frames_in_period = 0
         self._latencies_s: list[float] = []
         self._last_refusal = None

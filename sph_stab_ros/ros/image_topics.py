@@ -42,10 +42,10 @@ def subscribe_to_images(node: Node, topic: str, transport: str,
 
 
 def subscribe(node: Node, msg_type: type[Any], topic: str, callback: Callable[[Any], None],
-              qos: QoSProfile | int = 10) -> Subscription:
+              qos: QoSProfile | int = 10, **options: Any) -> Subscription:
     """Return a subscription; ``qos`` is a QoSProfile or the depth of a reliable one."""
     return node.create_subscription(
-        msg_type, topic, callback, qos, qos_overriding_options=_overriding())
+        msg_type, topic, callback, qos, qos_overriding_options=_overriding(), **options)
 
 
 def advertise(node: Node, msg_type: type[Any], topic: str, depth: int = 5) -> Publisher:

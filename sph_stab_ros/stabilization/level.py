@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Stamps, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.stabilization.imu import ImuHistory
+from sph_stab_ros.stabilization.imu_history import ImuHistory
 
 UP = np.array((0., -1., 0.))
 FORWARD = np.array((0., 0., 1.))

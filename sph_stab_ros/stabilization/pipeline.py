@@ -17,14 +17,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
-from sph_stab_ros.geometry.arrays import Covariance, Image
+from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.stabilization.imu import ImuHistory, ImuSample, mount_rotation
+from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
+from sph_stab_ros.stabilization.imu_history import ImuHistory
 from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError
 from sph_stab_ros.stabilization.smoothing import Smoother
 from sph_stab_ros.tracking import (
@@ -119,7 +120,7 @@ class Stabilizer:
                  make_tracker: MakeTracker = make_tracker) -> None:
         self._make_tracker = make_tracker
         # Filled by add_imu, in another thread maybe, and emptied by process.
-        self._imu_inbox: deque[ImuSample] = deque(maxlen=IMU_INBOX_SIZE)
+        self._imu_inbox: deque[tuple[int, Vector, Vector]] = deque(maxlen=IMU_INBOX_SIZE)
         self._imu = ImuHistory()
         self._gravity = Gravity()
         self._leveler = Leveler()
@@ -164,7 +165,12 @@ class Stabilizer:
 
     def add_imu(self, sample: ImuSample) -> None:
         """Take in a sample; may be called from any thread while frames are processed."""
-        self._imu_inbox.append(sample)
+        self.add_imu_samples(ImuSamples.of((sample,)))
+
+    def add_imu_samples(self, samples: ImuSamples) -> None:
+        """Take in samples; may be called from any thread while frames are processed."""
+        self._imu_inbox.extend(zip(
+            samples.stamps_ns.tolist(), samples.forces_m_s2, samples.rates_rad_s))
 
     def forget_imu(self) -> None:
         """Forget what was felt so far, because the clock was set back."""
@@ -239,12 +245,14 @@ class Stabilizer:
         return self._start_covariance + rotate_covariance(covariance, self._R_origin_start)
 
     def _take_in_imu(self) -> None:
-        if not self._imu_inbox:
+        rows = [self._imu_inbox.popleft() for _ in range(len(self._imu_inbox))]
+        if not rows:
             return
+        stamps_ns, forces_m_s2, rates_rad_s = map(np.array, zip(*rows))
         imu = self.config.imu
-        R_camera_imu = mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg)))
-        while self._imu_inbox:
-            self._imu.add(self._imu_inbox.popleft(), R_camera_imu)
+        self._imu.add(
+            ImuSamples(stamps_ns, forces_m_s2, rates_rad_s),
+            mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg))))
 
     def _level(self, stamp_ns: int) -> Rotation:
         """Return R_world_origin."""
