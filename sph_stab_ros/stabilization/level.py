@@ -20,7 +20,7 @@ from threading import Lock
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.arrays import Stamps, Vector
+from sph_stab_ros.geometry.arrays import Stamps, Vector, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.stabilization.imu_history import ImuHistory
 
@@ -109,9 +109,8 @@ class Gravity:
         if usable.any():
             stamps_ns = stamps_ns[usable]
             R_origin_then = self._orientations(stamps_ns, stamp_ns, R_origin_camera, imu)
-            for then_ns, force in zip(stamps_ns, R_origin_then.apply(forces_m_s2[usable])):
-                self._average(int(then_ns), force, last_ns)
-                last_ns = int(then_ns)
+            self._average(stamps_ns, R_origin_then.apply(forces_m_s2[usable]), last_ns)
+            last_ns = int(stamps_ns[-1])
         self._last_ns = last_ns
         self._last_picture = stamp_ns, R_origin_camera
 
@@ -127,10 +126,16 @@ class Gravity:
         turn_rad = (R_origin_last.inv() * R_origin_camera).as_rotvec()
         return R_origin_last * Rotation.from_rotvec(shares[:, None] * turn_rad)
 
-    def _average(self, stamp_ns: int, force_m_s2: Vector, since_ns: int) -> None:
-        stands_for_s = min(stamp_ns - since_ns, MAX_PERIOD_NS) / NS_PER_S
-        self._averaged_s = min(self._averaged_s + stands_for_s, AVERAGING_S)
-        self._force_m_s2 += stands_for_s / self._averaged_s * (force_m_s2 - self._force_m_s2)
+    def _average(self, stamps_ns: Stamps, forces_m_s2: Vectors, since_ns: int) -> None:
+        """Let forces (N, 3) draw the mean to themselves, one after the other."""
+        stand_for_s = np.diff(stamps_ns, prepend=since_ns).clip(max=MAX_PERIOD_NS) / NS_PER_S
+        averaged_s = np.minimum(self._averaged_s + np.cumsum(stand_for_s), AVERAGING_S)
+        shares = stand_for_s / averaged_s
+        # What is left of the mean before each force, when all have drawn.
+        left = np.cumprod((1 - shares)[::-1])[::-1]
+        weights = shares * np.append(left[1:], 1)
+        self._force_m_s2 = left[0] * self._force_m_s2 + weights @ forces_m_s2
+        self._averaged_s = float(averaged_s[-1])
 
 
 class Leveler:
