@@ -40,7 +40,7 @@ IMU_INBOX_SIZE = 2000
 class StabilizationEvent(Enum):
     """Something about a frame that its user should hear of; the frame was used all the same."""
 
-    RESIZED = 'the image size changed; tracking starts anew from the last orientation'
+    RESIZED = 'the image size changed; tracking starts anew from the last image'
     STAMP_NOT_INCREASING = 'the stamp is not later than the one before'
     GAP = f'no frame for more than {LONG_GAP_S:g} s'
     NO_GRAVITY = f'no usable force from the IMU for more than {LONG_GAP_S:g} s to level by'
@@ -192,9 +192,9 @@ class Stabilizer:
         events = tuple(self._events(frame))
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
-            tracker = self._started(frame)
+            tracker = self._started()
         self._take_in_imu()
-        tracked = self._track(tracker, frame)
+        tracked = self._track(tracker, frame, self._projection)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
         self._covariance = self._in_origin(tracked.covariance)
         R_world_origin = self._level(frame.stamp_ns)
@@ -226,16 +226,17 @@ class Stabilizer:
         if self.config.level == IMU and self._gravity.age_s(frame.stamp_ns) > LONG_GAP_S:
             yield StabilizationEvent.NO_GRAVITY
 
-    def _started(self, frame: Frame) -> Tracker:
-        """Start a tracker for frames of this size, in the orientation and place reached so far."""
+    def _started(self) -> Tracker:
+        """Start a tracker for frames of this size, at the last frame and its orientation."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
         tracker = self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._imu.gyro_rotation)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
-        if self._last is not None and self._last.size_wh == frame.size_wh:
-            self._track(tracker, self._last)
+        if self._last is not None:
+            # Of another size perhaps: the tracker gets all at its own.
+            self._track(tracker, self._last, projection_of(self._last.size_wh, self.config))
         return tracker
 
     def _in_origin(self, covariance: Covariance | None) -> Covariance | None:
@@ -262,8 +263,9 @@ class Stabilizer:
             up = self._gravity.up
         return self._leveler.update(stamp_ns, self._R_origin_camera, up)
 
-    def _track(self, tracker: Tracker, frame: Frame) -> TrackedOrientation:
-        grey = self._projection.grey_sphere(frame, self._working_width)
+    def _track(
+            self, tracker: Tracker, frame: Frame, projection: Projection) -> TrackedOrientation:
+        grey = projection.grey_sphere(frame, self._working_width)
         return tracker.track(grey, frame.stamp_ns)
 
 
