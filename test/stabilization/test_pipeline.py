@@ -149,7 +149,7 @@ def test_stamps_that_do_not_increase_are_noticed_and_the_frame_is_used(estimator
     assert angle_deg(stabilized[3].R_world_camera, truth[3]) < 0.15
 
 
-@pytest.mark.parametrize('widths', ((480, 320), (320, 480)))
+@pytest.mark.parametrize('widths', ((480, 320), (256, 160), (160, 256)))
 @every_tracker
 def test_a_new_size_costs_no_turn(estimator, widths):
     """The first frame of the new size is tracked against the last one of the old."""
@@ -159,7 +159,8 @@ def test_a_new_size_costs_no_turn(estimator, widths):
     assert stabilized[3].events == (StabilizationEvent.RESIZED,)
     assert stabilized[3].status is TrackingStatus.OK
     for one, R_world_camera in zip(stabilized, truth):
-        assert angle_deg(one.R_world_camera, R_world_camera) < 0.3
+        # The smallest pictures here tell no tenths of a degree; a turn lost would be a whole one.
+        assert angle_deg(one.R_world_camera, R_world_camera) < angle_deg(truth[0], truth[1]) / 2
 
 
 @pytest.mark.parametrize('shape, reason', [
