@@ -18,8 +18,9 @@ unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
-.PHONY: help setup demo test evaluation evaluation-real evaluation-hard test-oldest benchmark
-.PHONY: company evaluation-company benchmark-company benchmark-ros soak frames bags hard-frames hard constraints clean
+.PHONY: help setup demo test test-fast test-slow test-oldest coverage ledger evaluation
+.PHONY: evaluation-real evaluation-hard company evaluation-company benchmark benchmark-company
+.PHONY: benchmark-ros soak frames bags hard-frames hard constraints clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,8 +30,26 @@ setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test t
 demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot in results/demo
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
-test: setup  ## Run all tests
-	$(PY) -m pytest
+FAST := not slow and not thorough and not ros and not browser
+
+test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in two minutes
+	$(PY) -m pytest -m '$(FAST)'
+
+test: setup  ## Run all tests but the slow ones, in eight minutes
+	$(PY) -m pytest -m 'not slow'
+
+test-slow: setup  ## Run the slow tests
+	$(PY) -m pytest -m slow
+
+# Processes that tests start are measured too; their files stay out of the way of the sources.
+coverage: export COVERAGE_FILE = $(CURDIR)/results/coverage/data
+coverage: setup  ## Run test-fast, and tell in results/coverage which lines it runs
+	mkdir -p results/coverage
+	$(PY) -m pytest -m '$(FAST)' --cov --cov-report=term \
+	    --cov-report=html:results/coverage/html
+
+ledger: setup  ## Write test/ledger.json, the accuracy measured; ONLY='drone anchored' for a part
+	$(PY) test/support/tracking_accuracy.py $(ONLY)
 
 # How the markers sit on the camera, where the motion does not tell or is too short to.
 MOUNT := --mount=-7.182,-3.661,-2.975

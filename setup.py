@@ -67,6 +67,7 @@ setup(
             'mypy>=1.15,<1.19',
             # Drives the browser that is there; none of its own.
             'playwright>=1.60,<2',
+            'pytest-cov>=7.1,<8',
             # Jazzy's linters with the flake8 and plugins of its platform, for the same rules.
             'ros-ament-flake8==0.17.*',
             'ros-ament-pep257==0.17.*',

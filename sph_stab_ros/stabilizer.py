@@ -57,7 +57,7 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
-from sph_stab_ros.images.jpeg_frame import frame_from_message
+from sph_stab_ros.images.frame import frame_from_message
 from sph_stab_ros.ros.diagnostics import Diagnostics, LOG_PERIOD_S, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput

@@ -6,12 +6,34 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Fixtures: real footage where it is present, and tiny recordings made on the spot."""
+"""Markers by folder; fixtures: real footage where present, tiny recordings made on the spot."""
 
 from pathlib import Path
 
 import pytest
 from tiny_recordings import turning_spheres, write_bag, write_video
+
+TEST = Path(__file__).resolve().parent
+# What is marked in each; other tests bear their marks themselves.
+FOLDER_MARKERS = {
+    'ros': pytest.mark.ros,
+    'operator/test_operator_robot.py': pytest.mark.ros,
+    'operator/test_operator_page.py': pytest.mark.browser,
+    'operator/test_operator_layout.py': pytest.mark.browser,
+    'operator/test_operator_renderers.py': pytest.mark.browser,
+    'test_package.py': pytest.mark.thorough,
+    'test_readme.py': pytest.mark.thorough,
+    'test_style.py': pytest.mark.thorough,
+    'test_types.py': pytest.mark.thorough,
+}
+
+
+def pytest_collection_modifyitems(items):
+    """Mark what starts processes of ROS or a browser, and what is about the whole repository."""
+    for item in items:
+        for path, marker in FOLDER_MARKERS.items():
+            if item.path.is_relative_to(TEST / path):
+                item.add_marker(marker)
 
 
 @pytest.fixture(scope='session')

@@ -23,6 +23,7 @@ from unittest import mock
 from xml.etree import ElementTree
 
 import pytest
+from sph_stab_ros.stabilization.outputs import topics
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = 'sph_stab_ros'
@@ -108,7 +109,9 @@ def test_setup_requires_what_is_imported(setup_arguments):
 
 def test_manifest_depends_on_what_is_imported(manifest):
     depends = {element.text for element in manifest.findall('exec_depend')}
-    used = imported_modules()
+    # Types of messages are imported by their names.
+    published = {msgtype.split('/')[0] for msgtype in topics(['view']).values()}
+    used = imported_modules() | published
     keys = {PYTHON_DEPENDENCIES[module][1] for module in used & PYTHON_DEPENDENCIES.keys()}
     assert depends == (keys - {None}) | (used - PYTHON_DEPENDENCIES.keys())
 
@@ -240,6 +243,7 @@ def test_colcon_installs_a_replay_that_runs(workspace):
     assert '--trajectory' in output
 
 
+@pytest.mark.ros
 def test_colcon_installs_a_node_that_runs(workspace):
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     # Alone in its domain, out of the way of a robot's nodes.

@@ -34,6 +34,7 @@ from rclpy.serialization import serialize_message  # noqa: E402, I100
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402, I100
 from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
 
+pytestmark = pytest.mark.ros
 IMAGE = textured_sphere()
 
 
@@ -156,7 +157,8 @@ def test_raw_images_are_compressed_on_demand_and_remapped(bag_with_truth):
     assert max(np.abs(image.astype(int) - IMAGE).mean() for image in images) < 8
 
 
-@pytest.mark.parametrize('ending', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('ending', [
+    signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_loop_goes_on_in_time_until_it_is_ended(turning_bag, ending):
     """Stamps increase from loop to loop; both signals are a good end."""
     with playing(turning_bag, '--loop', '--rate', 4,
@@ -214,12 +216,13 @@ def test_a_video_is_played_with_the_present_time(turning_video, turning):
 
 @pytest.mark.parametrize('args, status, message', [
     ((), 2, 'REC'),
-    (('{bag}', '--rate', '0'), 2, '--rate'),
     (('{bag}', '-p', 'jpeg_quality:=0'), 2, 'jpeg_quality must lie within 1 and 100'),
-    (('{bag}', '--ros-args', '-r', 'nonsense'), 2, 'nonsense'),
     (('{bag}.missing',), 1, 'does not exist'),
     (('{bag}', '--topics', '/nowhere'), 1, 'no topic /nowhere'),
-    (('{bag}', '--image-topic', '/nowhere'), 1, IMAGE_TOPIC),
+    *(pytest.param(*one, marks=pytest.mark.slow) for one in (
+        (('{bag}', '--rate', '0'), 2, '--rate'),
+        (('{bag}', '--ros-args', '-r', 'nonsense'), 2, 'nonsense'),
+        (('{bag}', '--image-topic', '/nowhere'), 1, IMAGE_TOPIC))),
 ])
 def test_wrong_calls_and_failures_end_with_one_line(turning_bag, args, status, message):
     """Exit status 2 or 1."""

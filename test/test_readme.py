@@ -87,6 +87,7 @@ def test_make_has_the_target(target):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.ros
 def test_the_demo_runs(tmp_path):
     """What make demo calls, for some seconds."""
     for module in ('av', 'matplotlib'):
@@ -146,6 +147,7 @@ def test_launch_files_take_the_arguments():
     assert {argument.split(':=')[0] for argument in arguments} <= declared
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize('name', STARTED)
 def test_what_ros2_runs_starts(name):
     """As python3 -m, without ros2; test_package.py runs what colcon installs."""

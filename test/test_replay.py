@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -296,6 +297,17 @@ def test_force_replaces(turning_bag, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ['out', 'out.tum']
 
 
+def test_no_more_is_decoded_than_is_shown_or_tracked(tmp_path):
+    """A trajectory takes a grey picture of what tracking takes; colour is for what is shown."""
+    bag = write_bag(tmp_path / 'bag', turning_spheres(3, width=1280)[0])
+    for out, flags in (([], cv2.IMREAD_REDUCED_GRAYSCALE_2),
+                       ([tmp_path / 'out'], cv2.IMREAD_ANYCOLOR)):
+        with mock.patch('cv2.imdecode', wraps=cv2.imdecode) as decode:
+            call(bag, *out, '--trajectory', tmp_path / 'out.tum', '--force')
+        asked = [call.args[1] & ~cv2.IMREAD_IGNORE_ORIENTATION for call in decode.mock_calls]
+        assert asked == 3 * [flags]
+
+
 def start(*args):
     """Start the command as a process of its own."""
     return subprocess.Popen(
@@ -314,7 +326,9 @@ def test_as_a_process_it_says_nothing_but_its_result(turning_bag, tmp_path):
     assert (process.returncode, out, len(error.splitlines())) == (1, '', 1)
 
 
-@pytest.mark.parametrize('name', ['drone', 'pioneer'])
+@pytest.mark.parametrize('name', [
+    pytest.param('drone', marks=pytest.mark.slow),
+    pytest.param('pioneer', marks=pytest.mark.thorough)])
 def test_the_simulated_recordings_come_out_as_the_truth_says(name, tmp_path):
     """Trajectory and bag of a whole recording against its truth."""
     recording = open_recording(BAGS / name)

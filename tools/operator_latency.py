@@ -37,7 +37,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from sph_stab_ros.benchmark.machine import machine
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.images.codec import fill_compressed, fill_image
-from sph_stab_ros.recording import open_recording
+from sph_stab_ros.recording import decoded_frames, open_recording
 
 NAMESPACE = 'benchmark'
 PICTURES = 60
@@ -103,7 +103,7 @@ def number_of(bits):
 def messages(args):
     """Return messages of as many pictures as there are numbers, played there and back."""
     pictures = [cv2.resize(frame.image, (args.width, args.width // 2))
-                for frame in islice(open_recording(args.recording).frames(), PICTURES)]
+                for frame in islice(decoded_frames(open_recording(args.recording)), PICTURES)]
     there_and_back = cycle(chain(pictures, pictures[-2:0:-1]))
     compressed = args.transport == 'compressed'
     return [fill_compressed(CompressedImage(), numbered(image, number)) if compressed

@@ -33,7 +33,7 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.geometry.warp import rotate_equirect
-from sph_stab_ros.recording import Recording
+from sph_stab_ros.recording import decoded_frames, Recording
 from sph_stab_ros.tracking.frame_to_frame.estimators import (
     BearingPairs, FitStatus, RotationEstimate)
 from sph_stab_ros.tracking.frame_to_frame.estimators.epipolar import flow_angles, tangent_basis
@@ -87,7 +87,7 @@ def find_example(recording: Recording, frames: int) -> Example | None:
     wanted = set(np.linspace(1, frames - 1, CANDIDATES, dtype=int).tolist())
     examples: list[Example | None] = []
     previous, first_ns = None, None
-    with closing(recording.frames()) as pictures:
+    with closing(decoded_frames(recording)) as pictures:
         for number, frame in zip(range(frames), pictures):
             first_ns = first_ns or frame.stamp_ns
             if number in wanted and previous is not None:

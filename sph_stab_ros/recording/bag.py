@@ -18,8 +18,8 @@ from rosbags import rosbag1, rosbag2
 from rosbags.typesys import get_typestore, Stores
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.images.codec import image_from_message, ImageError
-from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.codec import ImageError
+from sph_stab_ros.images.frame import Frame, frame_from_message
 from sph_stab_ros.recording.base import RecordingError, SkipLog
 from sph_stab_ros.recording.salvage import SalvagedBag
 
@@ -79,11 +79,11 @@ class BagRecording:
                                    self.name)
                 said_zero = True
             try:
-                image = image_from_message(msg)
+                frame = frame_from_message(msg, stamp_ns, msg.header.frame_id)
             except ImageError as error:
                 self._skip_log.add(error.reason, error)
-                continue
-            yield Frame(image, stamp_ns, msg.header.frame_id)
+            else:
+                yield frame
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time of receipt in ns, message) of a topic; messages of rosbags' types."""

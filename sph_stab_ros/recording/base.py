@@ -13,6 +13,7 @@ from collections.abc import Generator, Iterator
 import logging
 from typing import Any, Protocol
 
+from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
 
 logger = logging.getLogger(__name__)
@@ -41,10 +42,26 @@ class Recording(Protocol):
         """Count the pictures left out by ``frames()`` so far, by reason."""
 
     def frames(self) -> Generator[Frame, None, None]:
-        """Yield the whole pictures in the recording's order, whatever their stamps."""
+        """
+        Yield the whole pictures in the recording's order, whatever their stamps.
+
+        One that is damaged within may be found out when it is decoded only.
+        """
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield the time of receipt in ns and the message, for each message of a topic."""
+
+
+def decoded_frames(recording: Recording) -> Generator[Frame, None, None]:
+    """Yield the Frames of a Recording with their images, leaving out those that have none."""
+    skip_log = SkipLog(recording.name)
+    for frame in recording.frames():
+        try:
+            frame.load()
+        except ImageError as error:
+            skip_log.add(error.reason, error)
+        else:
+            yield frame
 
 
 class SkipLog:

@@ -24,7 +24,7 @@ from sph_stab_ros.stabilization.outputs import (
     TRANSFORMS_TOPIC)
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 
-# Orientations are small and wanted whole.
+# Orientations are small, and who records them wants them all.
 DEPTHS = {'orientation': 10, 'orientation_covariance': 10, 'virtual_orientation': 10,
           TRANSFORMS_TOPIC: 100}
 

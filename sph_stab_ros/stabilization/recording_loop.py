@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
+from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.stabilization.imu import ImuSample
@@ -68,7 +69,7 @@ def stabilize_recording(
         recording: Recording, stabilizer: FrameProcessor,
         sinks: Iterable[Callable[[StabilizedFrame], Any]] = (), max_frames: int | None = None,
         progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter,
-        imu: RecordedImu | None = None) -> Summary:
+        imu: RecordedImu | None = None, pictures: bool = False) -> Summary:
     """
     Stabilise a Recording frame by frame and return the Summary.
 
@@ -86,6 +87,8 @@ def stabilize_recording(
         Passes on the iterator of frames that it is given, and may tell of it.
     imu : RecordedImu, optional
         Its samples go to the stabilizer, each before the first picture that is not earlier.
+    pictures
+        Whether sinks ask for pictures, whose images are then decoded once, for tracking too.
 
     Raises
     ------
@@ -100,8 +103,10 @@ def stabilize_recording(
                 for sample in imu.until(frame.stamp_ns):
                     stabilizer.add_imu(sample)
             try:
+                if pictures:
+                    frame.load()
                 stabilized = stabilizer.process(frame)
-            except ProjectionError as error:
+            except (ImageError, ProjectionError) as error:
                 summary.left_out[error.reason] += 1
                 if summary.left_out[error.reason] == 1:
                     logger.warning('%s: picture left out, %s (more of these are only counted)',

@@ -70,6 +70,8 @@ def test_the_profile_names_a_large_segment():
     assert sizes == [64 * 2**20] and used == declared
 
 
+@pytest.mark.ros
+@pytest.mark.slow
 def test_a_short_run_with_and_without_profile(turning_bag, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(next(DOMAINS)))
     path = tmp_path / 'figures.json'

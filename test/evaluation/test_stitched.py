@@ -74,7 +74,8 @@ def test_frames_come_as_spheres(bag, turns):
 
 def test_spheres_stay_as_they_are(turning_bag):
     plain = open_recording(turning_bag)
-    for frame, stitched in zip(plain.frames(), Stitched(plain, StabilizerConfig()).frames()):
+    for frame, stitched in zip(plain.frames(), Stitched(plain, StabilizerConfig()).frames(),
+                               strict=True):
         assert np.array_equal(frame.image, stitched.image)
 
 

@@ -20,9 +20,11 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.images.codec import encode_jpeg
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
-from sph_stab_ros.recording.messages import camera_info
+from sph_stab_ros.recording.messages import camera_info, compressed_image
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 from tiny_recordings import IMAGE_TOPIC, stamps_of, START_NS, textured_sphere, write_bag
 
 IMAGE = textured_sphere()
@@ -287,6 +289,26 @@ def test_damaged_metadata_are_done_without(tmp_path, metadata):
     path = write_bag(tmp_path / 'bag', 3 * [IMAGE])
     (path / 'metadata.yaml').write_text(metadata)
     assert len(list(open_recording(path).frames())) == 3
+
+
+def test_a_picture_damaged_within_is_left_out_when_it_is_decoded(tmp_path, caplog):
+    """Also by those who stabilise; whole ones after it are there."""
+    with BagWriter(tmp_path / 'bag') as bag:
+        for stamp_ns in range(1, 6):
+            msg = compressed_image(bag.make, stamp_ns, 'camera', IMAGE)
+            if stamp_ns in (2, 4):
+                # Its tables become comments.
+                data = msg.data.tobytes().replace(b'\xff\xdb', b'\xff\xfe')
+                msg.data = np.frombuffer(data, np.uint8)
+            bag.write('/image', msg, stamp_ns)
+    recording = open_recording(tmp_path / 'bag')
+    assert [frame.stamp_ns for frame in decoded_frames(recording)] == [1, 3, 5]
+    assert len(caplog.records) == 1 and 'corrupt JPEG' in caplog.text
+    for pictures in (False, True):
+        summary = stabilize_recording(
+            recording, Stabilizer(), [lambda s: s.sphere()] if pictures else (),
+            pictures=pictures)
+        assert (summary.frames, summary.left_out) == (3, {'corrupt JPEG': 2})
 
 
 def test_a_missing_recording_is_refused(tmp_path):

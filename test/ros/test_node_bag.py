@@ -53,7 +53,7 @@ def result(camera_bag, tmp_path_factory):
     path = tmp_path_factory.mktemp('result') / 'bag'
     with ExitStack() as stack:
         stabilize_recording(open_recording(camera_bag), Stabilizer(CONFIG),
-                            [bag_sink(path, False, stack, CONFIG)])
+                            [bag_sink(path, False, stack, CONFIG)], pictures=True)
     return open_recording(path, 'stabilized/image/compressed')
 
 

@@ -91,7 +91,8 @@ def test_pictures_cost_nothing_while_nobody_subscribes(tmp_path):
             seen = []
             unsubscribe = peer.subscribe(Image, topic, seen.append)
             peer.spin_for(SETTLING_S)
-            assert warping_percent(peer) > 0 and len(seen) >= 4
+            # Each gives way to a newer one where drawing takes longer than tracking.
+            assert warping_percent(peer) > 0 and seen
             unsubscribe()
             peer.spin_for(SETTLING_S)
             assert warping_percent(peer) == 0

@@ -150,6 +150,7 @@ def test_the_horizon_is_level_whatever_the_camera_does():
     np.testing.assert_allclose(vertical, np.tile((0, 1, 0), (600, 1)), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_sphere_is_not_left_in_an_hour():
     times_s, stamps_ns = stamps(5, 3600)
     matrices = smoothed(FOLLOW, stamps_ns, wandering(times_s, size=2.)).as_matrix()

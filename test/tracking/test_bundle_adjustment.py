@@ -10,52 +10,15 @@
 
 from dataclasses import replace
 
+from bundle_windows import KEYFRAMES, perturbed, SIGMA_RAD, true_window
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored import bundle_adjustment
-from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Window
-from sph_stab_ros.tracking.anchored.pose_estimation import CAUCHY, MAX_INVERSE_DEPTH, MEDIAN_2D
+from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust
+from sph_stab_ros.tracking.anchored.pose_estimation import CAUCHY, MEDIAN_2D
 from synthetic import random_rotation, unit
-
-SIGMA_RAD = 1e-3
-KEYFRAMES = 6
-STEP = np.array((0.12, 0.02, 0.05))
-
-
-def true_window(rng, count=120, noise_rad=0., information=0.03):
-    """Return a Window at the truth: points 1 to 5 away, each seen in all but its host."""
-    R = Rotation.concatenate([random_rotation(rng, 10 * i) for i in range(KEYFRAMES)])
-    p = np.arange(KEYFRAMES)[:, None] * STEP + rng.normal(0, 0.02, (KEYFRAMES, 3))
-    p[0] = 0
-    host = rng.integers(KEYFRAMES, size=count)
-    x = unit(rng.normal(size=(count, 3)))
-    rho = rng.uniform(0.2, 1, size=count)
-    keyframe, point = (one.ravel() for one in np.meshgrid(
-        np.arange(KEYFRAMES), np.arange(count), indexing='ij'))
-    elsewhere = keyframe != host[point]
-    keyframe, point = keyframe[elsewhere], point[elsewhere]
-    h = host[point]
-    y = R[keyframe].inv().apply(
-        R[h].apply(x[point]) - rho[point, None] * (p[keyframe] - p[h]))
-    y = unit(unit(y) + noise_rad * rng.normal(size=y.shape))
-    first = unit(np.cross(y, (0.3, 0.5, 0.8)))
-    sqrt_information = np.stack((first, np.cross(y, first)), axis=1) / SIGMA_RAD
-    free = np.arange(KEYFRAMES) > 0
-    return Window(R.as_matrix(), p, free, host, x, rho, np.full(count, float(information)),
-                  keyframe, point, y, sqrt_information)
-
-
-def perturbed(rng, window, turn_deg=1., move=0.02, depth=0.2):
-    """Return the Window with its free keyframes and all depths disturbed."""
-    R, p, free = window.R.copy(), window.p.copy(), window.free
-    for i in np.flatnonzero(free):
-        R[i] = random_rotation(rng, turn_deg).as_matrix() @ R[i]
-    p[free] += rng.normal(0, move, (free.sum(), 3))
-    rho = np.minimum(window.inverse_depths * np.exp(rng.normal(0, depth, len(window.x))),
-                     MAX_INVERSE_DEPTH)
-    return replace(window, R=R, p=p, inverse_depths=rho)
 
 
 def errors_deg(R, truth):
@@ -218,3 +181,27 @@ def test_depths_are_as_certain_as_is_said():
         error = adjusted.inverse_depths - truth.inverse_depths
         squared.append(adjusted.information * error ** 2)
     assert 0.5 < np.mean(squared) < 2
+
+
+SLOWER = pytest.mark.xfail(
+    strict=True, reason='GAUGE_INFORMATION has a unit and its diagonal damps the other steps: '
+    'in units 100 times smaller 4 iterations leave 0.3 standard deviations')
+
+
+@pytest.mark.parametrize('unit_ratio, keep_distance', (
+    (0.3, False), (7., False), (100., False), (0.3, True), (7., True),
+    pytest.param(100., True, marks=SLOWER)))
+def test_the_unit_of_length_does_not_matter(unit_ratio, keep_distance):
+    for seed in range(11, 15):
+        rng = np.random.default_rng(seed)
+        start = perturbed(rng, true_window(rng, noise_rad=SIGMA_RAD, information=3.))
+        other = adjust(replace(start, p=unit_ratio * start.p,
+                               inverse_depths=start.inverse_depths / unit_ratio,
+                               information=unit_ratio ** 2 * start.information), keep_distance)
+        plain = adjust(start, keep_distance)
+        turns = (Rotation.from_matrix(other.R) * Rotation.from_matrix(plain.R).inv()).as_rotvec()
+        left = np.hstack((turns, other.p / unit_ratio - plain.p))[start.free].ravel()
+        # A tenth of the standard deviations.
+        assert left @ np.linalg.solve(plain.covariance, left) / len(left) < 0.1 ** 2
+        np.testing.assert_allclose(other.inverse_depths * unit_ratio, plain.inverse_depths,
+                                   atol=1e-3)

@@ -13,7 +13,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import StabilizerConfig, TrackerConfig
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.stabilization import pipeline
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.tracking import TrackedOrientation, TrackingStatus
 
@@ -36,11 +35,10 @@ def random_covariance(rng):
     return 1e-4 * root @ root.T
 
 
-def stabilize(monkeypatch, trackers):
+def stabilize(trackers):
     """Return the StabilizedFrames of a stabiliser that starts each of some trackers in turn."""
     trackers = iter(trackers)
-    monkeypatch.setattr(pipeline, 'make_tracker', lambda *args, **kwargs: next(trackers))
-    stabilizer = Stabilizer()
+    stabilizer = Stabilizer(make_tracker=lambda *args, **kwargs: next(trackers))
     for i in range(3):
         # Another bound does not matter to them but starts the next.
         stabilizer.reconfigure(StabilizerConfig(tracker=TrackerConfig(
@@ -48,11 +46,11 @@ def stabilize(monkeypatch, trackers):
         yield stabilizer.process(Frame(IMAGE, 10**9 * i // 30))
 
 
-def test_it_is_about_the_world_s_axes_and_adds_up(monkeypatch):
+def test_it_is_about_the_world_s_axes_and_adds_up():
     rng = np.random.default_rng(0)
     R = Rotation.random(3, random_state=1)
     C = [random_covariance(rng) for _ in R]
-    first, second, third = stabilize(monkeypatch, map(Told, R, C))
+    first, second, third = stabilize(map(Told, R, C))
     assert np.allclose(first.covariance, C[0])
     A = R[0].as_matrix()
     B = (R[0] * R[1]).as_matrix()
@@ -61,12 +59,12 @@ def test_it_is_about_the_world_s_axes_and_adds_up(monkeypatch):
     assert np.isclose(third.uncertainty_rad**2, np.linalg.norm(third.covariance, 2))
 
 
-def test_it_predicts_the_scatter_of_the_orientation(monkeypatch):
+def test_it_predicts_the_scatter_of_the_orientation():
     """Errors drawn with the trackers' covariances scatter about the truth as the sum says."""
     rng = np.random.default_rng(2)
     R = Rotation.random(3, random_state=3)
     C = [random_covariance(rng) for _ in R]
-    *_, last = stabilize(monkeypatch, map(Told, R, C))
+    *_, last = stabilize(map(Told, R, C))
     errors = []
     for _ in range(2000):
         drawn = [Rotation.from_rotvec(rng.multivariate_normal(np.zeros(3), one)) for one in C]
@@ -77,8 +75,8 @@ def test_it_predicts_the_scatter_of_the_orientation(monkeypatch):
 
 
 @pytest.mark.parametrize('unknown', range(3))
-def test_what_is_not_known_is_not_made_up(monkeypatch, unknown):
+def test_what_is_not_known_is_not_made_up(unknown):
     C = [None if i == unknown else np.eye(3) for i in range(3)]
-    frames = list(stabilize(monkeypatch, map(Told, Rotation.random(3, random_state=4), C)))
+    frames = list(stabilize(map(Told, Rotation.random(3, random_state=4), C)))
     for i, frame in enumerate(frames):
         assert (frame.covariance is None) == (frame.uncertainty_rad is None) == (i >= unknown)

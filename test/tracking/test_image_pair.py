@@ -112,7 +112,8 @@ def reduced(image):
 
 
 @pytest.mark.parametrize('method', ('pts', 'moment'))
-@pytest.mark.parametrize('rotation_deg', (0.2, 1., 5.))
+@pytest.mark.parametrize('rotation_deg', (
+    pytest.param(0.2, marks=pytest.mark.slow), 1., pytest.param(5., marks=pytest.mark.slow)))
 def test_real_photos_turned_are_recovered(shared_data, method, rotation_deg):
     """With DIS: Farneback interpolates over skies, which costs it up to 0.5° at 5°."""
     rng = np.random.default_rng(0)
@@ -125,7 +126,7 @@ def test_real_photos_turned_are_recovered(shared_data, method, rotation_deg):
         assert angle_deg(found.R_current_previous, R) < 0.05
 
 
-@pytest.mark.parametrize('rotation_deg', (0.2, 5.))
+@pytest.mark.parametrize('rotation_deg', (pytest.param(0.2, marks=pytest.mark.slow), 5.))
 def test_real_photos_turned_have_no_parallax(shared_data, rotation_deg):
     rng = np.random.default_rng(0)
     for photo in photos(shared_data):
@@ -143,7 +144,8 @@ STEREO_DEG = {'hall': (-0.03, 0.08, 0.03), 'room': (-0.01, 0.01, -0.05), 'stairs
 
 
 @every_method
-@pytest.mark.parametrize('scene', STEREO_DEG)
+@pytest.mark.parametrize('scene', (
+    'hall', *(pytest.param(scene, marks=pytest.mark.slow) for scene in ('room', 'stairs'))))
 def test_real_stereo_pairs_turned_are_recovered(shared_data, method, scene):
     """
     Two pictures 20 cm apart, one turned: the rotation comes back, whatever the baseline.

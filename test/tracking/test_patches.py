@@ -11,12 +11,12 @@
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
+from corners import corners, MAX_LATITUDE_DEG
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.equirect import bearing_grid, bearings_from_pixels, pixels_from_bearings
+from sph_stab_ros.geometry.equirect import bearing_grid, pixels_from_bearings
 from sph_stab_ros.tracking.anchored.localization import (
     MAX_LAST_STEP_PX, MAX_OFFSET_PX, MIN_CORRELATION)
 from sph_stab_ros.tracking.anchored.patches import MIN_CONTRAST, Patches, Pyramid
@@ -25,7 +25,6 @@ from synthetic import random_rotation, textured_sphere, unit
 
 WIDTH = 480
 PX_PER_RAD = WIDTH / (2 * np.pi)
-MAX_LATITUDE_DEG = 60
 
 
 @lru_cache(maxsize=4)
@@ -41,17 +40,6 @@ def seen_by(R, seed=0):
 
 def pyramid(image):
     return Pyramid(np.uint8(np.rint(image)))
-
-
-def corners(image, count=150):
-    """Return bearings x (N, 3) of corners up to 60° of latitude, and tangents east, south."""
-    free = np.zeros(image.shape, np.uint8)
-    edge = round(WIDTH * (90 - MAX_LATITUDE_DEG) / 360)
-    free[edge:-edge] = 1
-    uv = cv2.goodFeaturesToTrack(np.uint8(image), count, 0.05, 6, mask=free, blockSize=7)[:, 0]
-    x = bearings_from_pixels(np.float64(uv), WIDTH)
-    east = unit(np.cross((0., 1., 0.), x))
-    return x, east, np.cross(x, east)
 
 
 def cut(image):

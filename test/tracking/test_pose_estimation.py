@@ -11,33 +11,15 @@
 from dataclasses import replace
 
 import numpy as np
+from pose_points import HERE, points, POSITION, SIGMA_RAD, tangents
 import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored.pose_estimation import (
-    DOUBTFUL_SCALE, fit_depths, fit_pose, fit_pose_among_movers, MAX_INVERSE_DEPTH, MIN_SCALE,
-    Points, STEP_TOLERANCE)
+    cauchy_weights, fit_depths, fit_pose, MAX_INVERSE_DEPTH, MIN_SCALE, Points, STEP_TOLERANCE)
+from sph_stab_ros.tracking.anchored.pose_hypotheses import (
+    agreement, fit_poses_among_movers, places)
 from synthetic import angle_deg, random_rotation, unit
-
-POSITION = np.array((0.1, -0.05, 0.2))
-SIGMA_RAD = 1e-3
-HERE = np.zeros(3)
-
-
-def tangents(y):
-    """Return the sphere's unit directions (N, 2, 3) at y per standard deviation."""
-    first = unit(np.cross(y, (0.3, 0.5, 0.8)))
-    return np.stack((first, np.cross(y, first)), axis=1) / SIGMA_RAD
-
-
-def points(rng, R, position, count=400, noise_rad=0., information=1e6, spread=0.3):
-    """Return Points 1 to 5 away from origins spread around zero, seen from a pose."""
-    x = unit(rng.normal(size=(count, 3)))
-    origins = rng.uniform(-spread, spread, size=(count, 3))
-    rho = rng.uniform(0.2, 1, size=count)
-    y = unit(R.apply(x - rho[:, None] * (position - origins)))
-    y = unit(y + noise_rad * rng.normal(size=y.shape))
-    return Points(x, origins, rho, np.full(count, float(information)), y, tangents(y))
 
 
 def fit(seen, estimator=fit_pose, R=Rotation.identity(), position=HERE, sigma=1.):
@@ -246,26 +228,66 @@ def with_somebody(rng, R, width_deg, centre_deg, share=0.45, count=400):
     return replace(seen, sqrt_information=tangents(seen.y)), moving
 
 
+def fit_among_movers(seen, R=Rotation.identity(), position=HERE, sigma=1.):
+    """Return the best of the poses, and the costs of all."""
+    poses, costs = fit_poses_among_movers(
+        seen, [(R, position)], sigma, np.random.default_rng(0))
+    return poses[np.argmin(costs)], costs
+
+
 @pytest.mark.parametrize('width_deg, centre_deg', ((90, 0), (100, 20), (110, -170)))
-def test_who_holds_one_side_of_the_picture_does_not_win(width_deg, centre_deg):
+@pytest.mark.parametrize('share', (0.45, 0.65))
+def test_who_holds_one_side_of_the_picture_does_not_win(width_deg, centre_deg, share):
+    """Not even with the most corners: it is the places that count."""
     rng = np.random.default_rng(9)
     R = random_rotation(rng, 1)
-    seen, moving = with_somebody(rng, R, width_deg, centre_deg)
-    plain, among = fit(seen), fit(seen, fit_pose_among_movers)
-    assert plain.scale > DOUBTFUL_SCALE
+    seen, moving = with_somebody(rng, R, width_deg, centre_deg, share)
+    plain, (among, _) = fit(seen), fit_among_movers(seen)
     assert angle_deg(plain.R_camera_world, R) > 0.3
     assert angle_deg(among.R_camera_world, R) < 0.05
     np.testing.assert_allclose(among.position, POSITION, atol=0.01)
     assert np.median(among.weights[moving]) < 0.1 < 0.5 < np.median(among.weights[~moving])
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_two_groups_of_unknown_depths_are_told_apart(seed):
+    """The mover is nearer, richer, and what was held for the pose so far is his."""
+    rng = np.random.default_rng(seed)
+    R, own = random_rotation(rng, 2), random_rotation(rng, 2)
+    world = points(rng, R, POSITION, 250, SIGMA_RAD, 0.3, spread=0.)
+    walker = points(rng, own, 3 * np.roll(POSITION, 1), 3000, SIGMA_RAD, 0.3, spread=0.)
+    walker = walker[walker.x @ unit(rng.normal(size=3)) > 0.75][:350]
+    seen = Points.joined((world, walker))
+    seen = replace(seen, inverse_depths=np.ones(len(seen)), sqrt_information=tangents(seen.y))
+    estimate, _ = fit_among_movers(seen, R=own)
+    assert angle_deg(estimate.R_camera_world, R) < 0.06
+    held = cauchy_weights(estimate.sizes, estimate.scale) > 0.25
+    assert held[:250].mean() > 0.9 and held[250:].mean() < 0.3
+
+
 def test_where_all_is_one_scene_nothing_else_is_tried():
     rng = np.random.default_rng(10)
     R = random_rotation(rng, 1)
     seen = points(rng, R, POSITION, noise_rad=SIGMA_RAD, information=4.)
-    plain, among = fit(seen), fit(seen, fit_pose_among_movers)
-    np.testing.assert_array_equal(plain.position, among.position)
-    np.testing.assert_array_equal(plain.weights, among.weights)
+    estimate, costs = fit_among_movers(seen)
+    assert len(costs) == 1
+    assert angle_deg(estimate.R_camera_world, R) < 0.05
+
+
+def test_places_are_of_equal_size():
+    y = unit(np.random.default_rng(14).normal(size=(100_000, 3)))
+    place, count = places(y)
+    np.testing.assert_array_equal(np.bincount(place), count)
+    # But for those at the poles.
+    assert np.percentile(count, 90) / np.percentile(count, 10) < 1.5
+
+
+def test_agreement_counts_places():
+    crowd = np.tile((0., 0., 1.), (90, 1))
+    elsewhere = np.array(((1., 0, 0), (-1, 0, 0), (0, 0, -1)))
+    y = np.concatenate((crowd, elsewhere))
+    assert agreement(y, np.arange(93) < 90) == pytest.approx(1 / 4)
+    assert agreement(y, np.arange(93) >= 90) == pytest.approx(3 / 4)
 
 
 def test_some_of_the_points_are_those_points():
@@ -275,3 +297,35 @@ def test_some_of_the_points_are_those_points():
     np.testing.assert_array_equal(some.y, seen.y[[0, 2, 3]])
     np.testing.assert_array_equal(some.sqrt_information, seen.sqrt_information[[0, 2, 3]])
     np.testing.assert_array_equal(some.origins, seen[[0, 2, 3]].origins)
+
+
+def best_among_movers(seen, R, position, sigma):
+    """Return what fit_pose does, where much may move by itself."""
+    return fit_among_movers(seen, R, position, sigma)[0]
+
+
+@pytest.mark.parametrize('estimator', (fit_pose, best_among_movers))
+@pytest.mark.parametrize('unit_ratio', (0.3, 7., 100.))
+def test_the_unit_of_length_does_not_matter(unit_ratio, estimator):
+    rng = np.random.default_rng(14)
+    R = random_rotation(rng, 2)
+    seen = points(rng, R, POSITION, noise_rad=SIGMA_RAD, information=10.)
+    guess = 0.5 * POSITION
+    plain = fit(seen, estimator, position=guess, sigma=0.5)
+    other = fit(replace(seen, origins=unit_ratio * seen.origins,
+                        inverse_depths=seen.inverse_depths / unit_ratio,
+                        information=unit_ratio ** 2 * seen.information),
+                estimator, position=unit_ratio * guess, sigma=0.5 * unit_ratio)
+    # The last step may be left out in one and not in the other.
+    left = other.R_camera_world * plain.R_camera_world.inv()
+    assert left.magnitude() < 2 * STEP_TOLERANCE
+    np.testing.assert_allclose(other.position / unit_ratio, plain.position,
+                               atol=2 * STEP_TOLERANCE)
+    # A redescending loss settles slowly, and its last depths are not waited for.
+    np.testing.assert_allclose(other.inverse_depths * unit_ratio, plain.inverse_depths,
+                               atol=1e-3 if estimator is fit_pose else 5e-3)
+    # Whatever the axes: of a covariance by the other one all eigenvalues are 1.
+    units = np.diag((1, 1, 1, *3 * [1 / unit_ratio]))
+    ratios = np.linalg.eigvals(np.linalg.solve(
+        plain.covariance, units @ other.covariance @ units)).real
+    np.testing.assert_allclose(ratios, 1, rtol=0.02)

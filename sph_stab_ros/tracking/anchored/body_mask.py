@@ -25,7 +25,8 @@ MIN_EVIDENCE = 30.0
 MAX_EVIDENCE = 3.0
 # Of the evidence per frame in which anything moves.
 MEMORY = 0.98
-MIN_STEP_RAD = np.deg2rad(0.1)
+# After a smaller step nothing is to be seen, after a larger one, of two pixels, not this.
+MIN_STEP_RAD, MAX_STEP_RAD = np.deg2rad((0.1, 4.5))
 
 
 class BodyMask:
@@ -50,7 +51,7 @@ class BodyMask:
         if previous is None or R_current_previous is None:
             return
         omega = R_current_previous.as_rotvec().astype(np.float32)
-        if np.linalg.norm(omega) < MIN_STEP_RAD:
+        if not MIN_STEP_RAD < np.linalg.norm(omega) < MAX_STEP_RAD:
             return
         inside = slice(MARGIN_PX, -MARGIN_PX)
         expected = change_by_rotation((small + previous) / 2, MARGIN_PX, -omega)

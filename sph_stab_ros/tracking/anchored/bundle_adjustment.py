@@ -65,6 +65,7 @@ class Adjusted:
     The Window's R, p and inverse depths after adjustment.
 
     ``information`` (P,) of the inverse depths, ``weights`` (M,) ≤ 1 the trust in each observation,
+    ``scale`` the residuals' standard deviation,
     ``covariance`` (6F, 6F) that of the F free keyframes' rotation vectors, in the world, and
     positions, as far as the fixed ones are exact.
     """
@@ -74,6 +75,7 @@ class Adjusted:
     inverse_depths: np.ndarray
     information: np.ndarray
     weights: np.ndarray
+    scale: float
     covariance: np.ndarray
 
 
@@ -105,7 +107,7 @@ def adjust(window, keep_distance=False):
         damping /= DAMPING_FACTOR
         if np.abs(step).max() < STEP_TOLERANCE:
             break
-    return Adjusted(R, p, rho, equations.H_rr, equations.weights,
+    return Adjusted(R, p, rho, equations.H_rr, equations.weights, equations.scale,
                     np.linalg.inv(equations.reduced(0.)))
 
 
@@ -129,7 +131,13 @@ class Equations:
 
 
 def residual_lengths(window, R, p, rho):
-    """Return the lengths (M,) of the residuals ``W (b − y)``."""
+    """Return the lengths (M,) of the residuals."""
+    r = residuals(window, R, p, rho)
+    return np.sqrt(np.einsum('mk,mk->m', r, r))
+
+
+def residuals(window, R, p, rho):
+    """Return the residuals ``W (b − y)`` (M, 2)."""
     host = window.host[window.point]
     if kernels.library is not None:
         r = np.empty((len(host), 2))
@@ -141,7 +149,7 @@ def residual_lengths(window, R, p, rho):
         b = np.einsum('mij,mi->mj', R[window.keyframe], z)
         b /= np.sqrt(np.einsum('mi,mi->m', z, z))[:, None]
         r = np.einsum('mki,mi->mk', window.sqrt_information, b - window.y)
-    return np.sqrt(np.einsum('mk,mk->m', r, r))
+    return r
 
 
 def normal_equations(window, R, p, rho, sizes, kept_along=None):
@@ -153,12 +161,21 @@ def normal_equations(window, R, p, rho, sizes, kept_along=None):
     """
     scale = np.clip(np.median(sizes) / MEDIAN_2D, MIN_SCALE, MAX_SCALE)
     weights = cauchy_weights(sizes, scale)
-    accumulate = _accumulate if kernels.library is None else _accumulate_compiled
-    H, g, H_rp, H_rr, g_r = accumulate(window, R, p, rho, weights / scale ** 2)
+    H, g, H_rp, H_rr, g_r = pose_and_point_equations(window, R, p, rho, weights / scale ** 2)
     if kept_along is not None:
         H[-3:, -3:] += GAUGE_INFORMATION * np.outer(kept_along, kept_along)
     return Equations(H, g, H_rp, window.information + H_rr,
                      g_r + window.information * (rho - window.inverse_depths), weights, scale)
+
+
+def pose_and_point_equations(window, R, p, rho, w):
+    """
+    Return the normal equations of observations weighted by w (M,), without prior inverse depths.
+
+    H and g of the free keyframes, H_rp between points and keyframes, H_rr and g_r of the points.
+    """
+    accumulate = _accumulate if kernels.library is None else _accumulate_compiled
+    return accumulate(window, R, p, rho, w)
 
 
 def _accumulate_compiled(window, R, p, rho, w):

@@ -17,9 +17,9 @@ from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bea
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
 from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Window
+from sph_stab_ros.tracking.anchored.landmarks import Landmarks, Observations
+from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
 from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, PatchStore
-from sph_stab_ros.tracking.anchored.pose_estimation import cauchy_weights
-from sph_stab_ros.tracking.anchored.table import Table
 from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
 
 MAX_LANDMARKS = 600
@@ -39,46 +39,10 @@ FIXED_KEYFRAMES = 10
 MAX_KEYFRAMES = 48
 # A landmark whose observations are trusted less than this on average is none.
 MIN_TRUST = 0.15
+# When the lenses are known better by so much, all keyframes are adjusted anew.
+LENSES_CHANGED_RAD = np.deg2rad(0.03)
 # The window's covariance takes observations for independent, which they are not.
 COVARIANCE_INFLATION = 4.0
-
-
-@dataclass
-class Landmarks(Table):
-    """
-    N things to be seen again; each belongs to the keyframe in which its patch was cut, its host.
-
-    ``number`` (N,) rises; ``host`` (N,) is the keyframe's, ``x``, ``east``, ``south`` (N, 3) the
-    bearing and the patch's tangents in the host's camera, ``inverse_depth`` and ``information``
-    (N,) as counted from there. ``agreed`` (N,) is for how many frames it has lately agreed with
-    the others, ``missed`` (N,) for how many it has not been seen, ``active`` (N,) bool whether it
-    is looked for, ``patch`` (N,) the row of its patch in the store.
-    """
-
-    number: np.ndarray
-    host: np.ndarray
-    x: np.ndarray
-    east: np.ndarray
-    south: np.ndarray
-    inverse_depth: np.ndarray
-    information: np.ndarray
-    agreed: np.ndarray
-    missed: np.ndarray
-    active: np.ndarray
-    patch: np.ndarray
-
-
-@dataclass
-class Observations(Table):
-    """
-    Landmarks as one camera saw them.
-
-    Their numbers (N,), ascending, bearings y (N, 3) in the camera, ``sqrt_information`` (N, 2, 3).
-    """
-
-    number: np.ndarray
-    y: np.ndarray
-    sqrt_information: np.ndarray
 
 
 @dataclass
@@ -110,6 +74,8 @@ class LandmarkMap:
     keyframes: list[Keyframe] = field(default_factory=list)
     landmarks: Landmarks | None = None
     store: PatchStore = field(default_factory=PatchStore)
+    lenses: Lenses = field(default_factory=Lenses)
+    _adjusted_apart: np.ndarray = field(default_factory=lambda: np.zeros(3))
     _next_keyframe: int = 0
     _next_landmark: int = 0
     _known_poses: tuple | None = None
@@ -129,11 +95,19 @@ class LandmarkMap:
                 for name in ('number', 'R', 'position'))
         return self._known_poses
 
+    def rays(self, rows, position):
+        """
+        Return vectors (N, 3) in the world to the landmarks in rows from a position.
+
+        Each in units of the landmark's distance from its host.
+        """
+        R, origins = self.hosts(rows)
+        return (np.einsum('nij,nj->ni', R, self.landmarks.x[rows])
+                - self.landmarks.inverse_depth[rows, None] * (position - origins))
+
     def directions(self, rows, position):
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
-        R, origins = self.hosts(rows)
-        z = (np.einsum('nij,nj->ni', R, self.landmarks.x[rows])
-             - self.landmarks.inverse_depth[rows, None] * (position - origins))
+        z = self.rays(rows, position)
         return z / np.linalg.norm(z, axis=1, keepdims=True)
 
     def add_keyframe(self, R_world_camera, position, covariance, grey, thumbnail, observations):
@@ -169,7 +143,8 @@ class LandmarkMap:
             wanted -= len(active)
             if len(active):
                 inverse_depth = max(np.median(self.landmarks.inverse_depth[active]), 1e-3)
-            there = self.directions(active, keyframe.position) @ keyframe.R
+            there = self.lenses.as_seen(
+                self.directions(active, keyframe.position) @ keyframe.R)
             free[near_pixels(pixels_from_bearings(there, width), width, MIN_DISTANCE_PX)] = 0
         uv = None if wanted <= 0 else cv2.goodFeaturesToTrack(
             cv2.GaussianBlur(grey, (0, 0), 0.8), wanted, MIN_CORNER_QUALITY, MIN_DISTANCE_PX,
@@ -184,7 +159,8 @@ class LandmarkMap:
         good = patches.deviations[:, 0] > MIN_CONTRAST
         n = good.sum()
         new = Landmarks(
-            self._next_landmark + np.arange(n), np.full(n, keyframe.number), x[good], east[good],
+            self._next_landmark + np.arange(n), np.full(n, keyframe.number),
+            self.lenses.corrected(x[good]), east[good],
             south[good], np.full(n, inverse_depth),
             np.full(n, FIRST_INFORMATION / inverse_depth ** 2), np.zeros(n, int),
             np.zeros(n, int), np.ones(n, bool), self.store.put(patches[good]))
@@ -195,6 +171,9 @@ class LandmarkMap:
     def adjust(self):
         """Adjust the last keyframes and what they saw; give up what does not fit."""
         first = max(len(self.keyframes) - ADJUSTED_KEYFRAMES, 1)
+        if np.linalg.norm(self.lenses.apart - self._adjusted_apart) > LENSES_CHANGED_RAD:
+            # What was adjusted before was adjusted to other bearings.
+            first, self._adjusted_apart = 1, self.lenses.apart
         seen_lately = np.concatenate([one.observations.number for one in self.keyframes[first:]])
         numbers = np.intersect1d(seen_lately, self.landmarks.number)
         if not len(numbers):
@@ -208,10 +187,11 @@ class LandmarkMap:
         point = np.searchsorted(numbers, seen.number)
         keyframe_numbers, R, positions = self._poses()
         host = np.searchsorted(keyframe_numbers, self.landmarks.host[rows])
-        adjusted = adjust(Window(
+        window = Window(
             R, positions, np.arange(len(self.keyframes)) >= first, host, self.landmarks.x[rows],
             self.landmarks.inverse_depth[rows], np.full(len(rows), 0.1 * FIRST_INFORMATION),
-            keyframe, point, seen.y, seen.sqrt_information), keep_distance=first == 1)
+            keyframe, point, seen.y, seen.sqrt_information)
+        adjusted = adjust(window, keep_distance=first == 1)
         self._known_poses = None
         base = self.keyframes[first - 1].covariance
         for i, one in enumerate(self.keyframes[first:]):
@@ -224,6 +204,13 @@ class LandmarkMap:
         count = np.bincount(point, minlength=len(rows))
         trust = np.bincount(point, adjusted.weights, len(rows)) / np.maximum(count, 1)
         self._keep(~np.isin(self.landmarks.number, numbers[(trust < MIN_TRUST) & (count > 1)]))
+        self._take_lenses_apart(self.lenses.learn(*lens_equations(window, adjusted)))
+
+    def _take_lenses_apart(self, rotvec):
+        """Correct all bearings known so far by a further rotation vector between the lenses."""
+        self.landmarks.x = apart(self.landmarks.x, rotvec)
+        for one in self.keyframes:
+            one.observations.y = apart(one.observations.y, rotvec)
 
     def shrink(self):
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""
@@ -267,8 +254,3 @@ def _are_among(numbers, others):
     """Tell which of ascending numbers (N,) are among ascending others (M,), M > 0."""
     place = np.minimum(np.searchsorted(others, numbers), len(others) - 1)
     return others[place] == numbers
-
-
-def inlier_mask(sizes, scale):
-    """Tell which whitened residuals of such sizes (N,) are worth more than a quarter."""
-    return cauchy_weights(sizes, scale) > 0.25

@@ -12,6 +12,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.equirect import bearing_grid, pad_sphere, row_solid_angles
 from sph_stab_ros.geometry.projection import Equirect
@@ -25,6 +26,8 @@ ITERATIONS = 10
 STEP_TOLERANCE_RAD = 1e-3
 # Grey values are scaled to unit variance; residuals beyond this count less (Huber).
 HUBER = 0.5
+# Headings from which to start where nothing is known.
+YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
 
 
 class Thumbnail:
@@ -78,6 +81,17 @@ def difference(reference, current, R_current_reference):
     grid = bearing_grid(WIDTH)[rows].reshape(-1, 3).T
     seen = current.read(R_current_reference.as_matrix().astype(np.float32) @ grid)
     return np.average(np.abs(seen - reference.image[rows].ravel()), weights=weights)
+
+
+def likely_turns(keyframes, thumbnail):
+    """Return pairs of a keyframe and R_camera_key of a Thumbnail's camera, likeliest first."""
+    turns = []
+    for keyframe in keyframes:
+        for yaw_rad in YAW_STARTS_RAD:
+            R = align_thumbnails(
+                keyframe.thumbnail, thumbnail, Rotation.from_rotvec((0, yaw_rad, 0)))
+            turns.append((difference(keyframe.thumbnail, thumbnail, R), keyframe, R))
+    return [turn[1:] for turn in sorted(turns, key=lambda turn: turn[0])]
 
 
 @lru_cache(maxsize=1)

@@ -10,7 +10,10 @@
 
 import shutil
 
+from bundle_windows import perturbed, true_window
+from corners import corners
 import numpy as np
+from pose_points import points, POSITION
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -18,9 +21,6 @@ from sph_stab_ros import kernels
 from sph_stab_ros.tracking.anchored import bundle_adjustment, pose_estimation
 from sph_stab_ros.tracking.anchored.patches import Patches, Pyramid
 from synthetic import random_rotation, textured_sphere, unit
-from test_bundle_adjustment import perturbed, true_window
-from test_patches import corners
-from test_pose_estimation import points, POSITION
 
 COMPILER = shutil.which('cc') or shutil.which('gcc')
 # With a compiler it is an error that there is nothing compiled, and these fail.

@@ -6,67 +6,62 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A Frame that is a JPEG file: only as much of it is decoded as somebody asks for."""
+"""A picture in a JPEG file, of which only as much is decoded as somebody asks for."""
 
+from functools import cached_property
 from struct import error, unpack_from
 
 import cv2
 
-from sph_stab_ros.images.codec import (
-    decoded, image_from_message, ImageError, JPEG, kind_of_whole_file)
-from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.images.codec import decoded, ImageError, JPEG
 
 # By how much a decoder can reduce on the way, which leaves out most of its work.
 REDUCED_GREY = {
     8: cv2.IMREAD_REDUCED_GRAYSCALE_8, 4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
-    2: cv2.IMREAD_REDUCED_GRAYSCALE_2, 1: cv2.IMREAD_GRAYSCALE}
+    2: cv2.IMREAD_REDUCED_GRAYSCALE_2}
 # Start of frame, of all kinds of coding; tables that share their range are none.
 FRAME_HEADERS = {*range(0xc0, 0xd0)} - {0xc4, 0xc8, 0xcc}
 
 
-class JpegFrame:
+class JpegFile:
     """
-    A Frame whose image is decoded when it is asked for, and less of it for tracking.
+    A picture that is decoded when it is asked for, and less of it for tracking.
 
     At 1920 columns a grey picture of 960 takes 3 ms where one in colour, made grey and smaller,
     takes 8.
 
     Parameters
     ----------
-    data : bytes
-        A JPEG file; ImageError where it is no whole one.
-    stamp_ns, frame_id
-        As Frame's.
+    data
+        A JPEG file; ImageError where it does not even tell its size.
 
     """
 
-    def __init__(self, data, stamp_ns, frame_id=''):
+    def __init__(self, data: bytes) -> None:
         self._data = data
-        self.stamp_ns, self.frame_id = stamp_ns, frame_id
         self.size_wh = jpeg_size(data)
-        self._image = None
 
-    @property
-    def image(self):
-        """Return the whole picture, (H, W, 3) uint8 in BGR order or (H, W)."""
-        if self._image is None:
-            self._image = decoded(self._data, JPEG)
-        return self._image
+    @cached_property
+    def image(self) -> Image:
+        """Return the whole picture, (H, W, 3) uint8 in BGR order or (H, W); ImageError without."""
+        return decoded(self._data, JPEG)
 
-    def load(self):
-        """Decode the whole picture, which then serves ``at_least`` too."""
-        self.image
+    def at_least(self, width: int) -> Image:
+        """
+        Return the picture, a smaller and grey one where nobody wanted the whole so far.
 
-    def at_least(self, width):
-        """Return the picture, a smaller and grey one where nobody wanted the whole so far."""
-        if self._image is not None:
-            return self._image
-        reduction = next(
-            (one for one in REDUCED_GREY if self.size_wh[0] >= one * width), 1)
+        Where it cannot be smaller it is the whole: leaving out the colour alone saves little, and
+        a file's own grey is rounded otherwise than that of its colours, by which an orientation
+        would depend on whether anybody looks at the picture.
+        """
+        reduction = next((one for one in REDUCED_GREY if self.size_wh[0] >= one * width), None)
+        if reduction is None or 'image' in vars(self):
+            return self.image
         return decoded(self._data, JPEG, REDUCED_GREY[reduction])
 
 
-def jpeg_size(data):
+def jpeg_size(data: bytes) -> tuple[int, int]:
     """Return width and height from the frame header of a JPEG file (ITU-T T.81, B.2.2)."""
     # Behind the start of the image.
     at = 2
@@ -83,12 +78,3 @@ def jpeg_size(data):
                 at += 2 + length
     except error:
         raise ImageError(f'corrupt {JPEG}', 'there is no frame header') from None
-
-
-def frame_from_message(msg, stamp_ns, frame_id=''):
-    """Return the Frame, or JpegFrame, of an Image or CompressedImage message."""
-    if not hasattr(msg, 'encoding'):
-        data = bytes(msg.data)
-        if kind_of_whole_file(data) == JPEG:
-            return JpegFrame(data, stamp_ns, frame_id)
-    return Frame(image_from_message(msg), stamp_ns, frame_id)

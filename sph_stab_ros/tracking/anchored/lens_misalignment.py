@@ -1,0 +1,118 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Two lenses whose pictures do not quite fit together: a constant of the camera, seen at the seam.
+
+A stitched sphere shows one half through either lens. Where the two are turned against each other
+by more or less than the stitching took, all bearings of one half are off against the other's, and
+so is, by half of it and turning with the camera, every rotation fitted to both. What was seen
+through one lens and then through the other tells.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sph_stab_ros.tracking.anchored.bundle_adjustment import pose_and_point_equations, residuals
+
+# For derivatives by differences; all is linear over far more.
+STEP_RAD = 1e-4
+# What is known beforehand of how well a camera's pictures are stitched.
+SIGMA_RAD = np.deg2rad(0.2)
+# Windows share most of their observations, whose errors are alike from keyframe to keyframe: each
+# tells so little, and what older ones told, when less was known, is forgotten.
+SHARE, MEMORY = 0.02, 0.95
+# Where this much, of about chi², speaks against nothing being wrong, it is believed that something
+# is; without a stitch error up to 3 was seen, with 0.3° up to 200.
+SIGNIFICANT = 4.0
+# How much of that knowledge is trusted in the covariance; calibrated on simulated flights.
+TRUST = 0.05
+# A rotation fitted to both halves errs by half, and more where one of them shows more.
+INFLUENCE = 0.7
+
+
+class Lenses:
+    """The rotation vector ``apart`` (3,) between the halves of a stitched picture, as learnt."""
+
+    def __init__(self):
+        self.apart = np.zeros(3)
+        self._information, self._evidence = np.zeros((3, 3)), np.zeros(3)
+
+    def learn(self, H, g):
+        """Take in the normal equations of a window as it is; return by how much ``apart`` grew."""
+        self._information = MEMORY * self._information + SHARE * H
+        self._evidence = MEMORY * self._evidence + SHARE * (H @ self.apart - g)
+        likely = np.linalg.solve(
+            self._information + np.eye(3) / SIGMA_RAD ** 2, self._evidence)
+        significance = max(likely @ self._information @ likely, 1e-9)
+        before = self.apart
+        # Shrunk, as by James and Stein: what may as well be nothing is nothing.
+        self.apart = max(0., 1 - SIGNIFICANT / significance) * likely
+        return self.apart - before
+
+    def covariance(self, R_first_camera):
+        """
+        Return how uncertain an orientation is because of them: (3, 3) in rad².
+
+        It grows with the turn since the first keyframe, in which they are part of the world.
+        """
+        unknown = np.linalg.inv(TRUST * self._information + np.eye(3) / SIGMA_RAD ** 2)
+        D = R_first_camera.as_matrix() - np.eye(3)
+        return INFLUENCE ** 2 * np.trace(D @ unknown @ D.T) / 3 * np.eye(3)
+
+    def as_seen(self, bearings):
+        """Return where in the picture bearings (N, 3) are to be seen."""
+        return apart(bearings, -self.apart)
+
+    def corrected(self, bearings):
+        """Return the bearings (N, 3) of what is seen in the picture."""
+        return apart(bearings, self.apart)
+
+
+def apart(bearings, rotvec):
+    """
+    Return bearings (N, 3) of a picture whose front half (z > 0) is turned against its rear half.
+
+    Each by half of the small rotation vector ``rotvec`` (3,).
+    """
+    side = np.where(bearings[:, 2:] > 0, 0.5, -0.5)
+    turned = bearings + side * np.cross(rotvec, bearings)
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def lens_equations(window, adjusted):
+    """
+    Return what an Adjusted Window says about its lenses: normal equations H (3, 3) and g (3,).
+
+    Of the rotation vector by which they should be taken apart. Keyframes and points are
+    eliminated (Schur complement), so that what a turn of the camera explains is not counted;
+    derivatives are taken by differences.
+    """
+    R, p, rho = adjusted.R, adjusted.p, adjusted.inverse_depths
+    w = adjusted.weights / adjusted.scale ** 2
+
+    def linearised(rotvec):
+        other = replace(window, x=apart(window.x, rotvec), y=apart(window.y, rotvec))
+        H, g, H_rp, H_rr, g_r = pose_and_point_equations(other, R, p, rho, w)
+        return residuals(other, R, p, rho), H, g, H_rp, window.information + H_rr, g_r
+
+    r, H, g, H_rp, H_rr, g_r = linearised(np.zeros(3))
+    J, H_pe, H_re = zip(*(
+        [(turned[i] - here) / STEP_RAD for i, here in ((0, r), (2, g), (5, g_r))]
+        for turned in map(linearised, STEP_RAD * np.eye(3))))
+    J, H_pe, H_re = np.stack(J), np.stack(H_pe, axis=1), np.stack(H_re, axis=1)
+    H_ee, g_e = np.einsum('amk,m,bmk->ab', J, w, J), np.einsum('amk,m,mk->a', J, w, r)
+    # Without the points, then without the keyframes.
+    by_point = H_re / H_rr[:, None]
+    H_ee, g_e = H_ee - by_point.T @ H_re, g_e - by_point.T @ g_r
+    H_pe, g = H_pe - H_rp.T @ by_point, g - H_rp.T @ (g_r / H_rr)
+    S = H - (H_rp / H_rr[:, None]).T @ H_rp
+    S[np.diag_indices_from(S)] += 1e-9 + 1e-6 * np.diag(H)
+    by_pose = np.linalg.solve(S, H_pe)
+    return H_ee - by_pose.T @ H_pe, g_e - by_pose.T @ g

@@ -1,0 +1,134 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+The start of a map, where nothing is decided before parallax tells.
+
+Of what the first picture shows, some stands still and some walks, maybe nearer and richer in
+corners; as long as the camera has hardly moved, either may be the world. So each frame is compared
+with the first one afresh, of unknown depths; landmarks are followed from frame to frame, whichever
+pose they speak for; and of several poses that one counts which holds in most places.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.rotations import rotation_from_matrix
+from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
+from sph_stab_ros.tracking.anchored.localization import (
+    GOOD_PREDICTION_RAD, Localization, look_along, MAX_ATTEMPTS, MIN_POINTS)
+from sph_stab_ros.tracking.anchored.pose_hypotheses import (
+    agreement, fit_poses_among_movers, places)
+
+# Where the camera is not known to be a pose is right even if it holds in so few of the places:
+# those of walkers, and of the robot's body.
+MIN_AGREEMENT = 0.3
+# So many poses compete from one frame to the next, those being one that differ by less: some
+# deviations of a single corner.
+RIVALS = 3
+SAME_RAD = np.deg2rad(0.02)
+# Of so many places, the mean of truncated residuals in deviations, one for each e-fold of
+# likelihood: residuals of one place are alike from frame to frame.
+TEMPERATURE = 4.
+
+
+class MapInitializer:
+    """
+    The landmarks of a map's only keyframe, and the poses that may be the last frame's.
+
+    Parameters
+    ----------
+    landmark_map : LandmarkMap
+        With one keyframe and its landmarks.
+    position_sigma_per_s : float
+        How far the camera moves per second, in distances of landmarks.
+    min_position_sigma : float
+        The same for the first frames.
+
+    """
+
+    def __init__(self, landmark_map, position_sigma_per_s, min_position_sigma):
+        self._map = landmark_map
+        self._sigma_per_s, self._min_sigma = position_sigma_per_s, min_position_sigma
+        self._first_ns = None
+        # Orientation by the pose that counted before, to tell how far another one differs.
+        self.R_world_continued = None
+        # Where each landmark was last seen or, if it was missed since, would be if it were far.
+        self._y = landmark_map.landmarks.x.copy()
+        # R_last_key and the position in that camera of each, the one that counted first.
+        self._rivals = [(Rotation.identity(), np.zeros(3))]
+        self._rng = np.random.default_rng(0)
+
+    def localize(self, pyramid, R_camera_last, stamp_ns, is_usable):
+        """
+        Return the Localization of the next frame, None where it cannot be told.
+
+        ``R_camera_last`` is a guess.
+        """
+        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
+        sigma = max(self._sigma_per_s * (stamp_ns - self._first_ns) / NS_PER_S, self._min_sigma)
+        R_world_key = rotation_from_matrix(self._map.keyframes[0].R)
+        for _ in range(MAX_ATTEMPTS):
+            guesses = [
+                (R_camera_last * R_last_key * R_world_key.inv(), R_world_key.apply(position))
+                for R_last_key, position in self._rivals]
+            R_world_camera = guesses[0][0].inv()
+            found, points = self._look_for(pyramid, R_camera_last, R_world_camera, is_usable)
+            if len(found) < MIN_POINTS:
+                return None
+            poses, costs = fit_poses_among_movers(points, guesses, sigma, self._rng)
+            pose = poses[np.argmin(costs)]
+            agreeing = inlier_mask(pose.sizes, pose.scale)
+            if agreement(points.y, agreeing) < MIN_AGREEMENT or agreeing.sum() < MIN_POINTS:
+                return None
+            R_camera_last = pose.R_camera_world * R_world_key * self._rivals[0][0].inv()
+            if (pose.R_camera_world * R_world_camera).magnitude() < GOOD_PREDICTION_RAD:
+                break
+        self._y = R_camera_last.apply(self._y)
+        self._y[found] = points.y
+        ranked = [poses[i] for i in np.argsort(costs, kind='stable')]
+        self._rivals = [(one.R_camera_world * R_world_key, R_world_key.inv().apply(one.position))
+                        for one in distinct(ranked)[:RIVALS]]
+        self.R_world_continued = poses[0].R_camera_world.inv()
+        pose.covariance[:3, :3] += contested(poses, costs, len(places(points.y)[1]))
+        return Localization(found, points, pose, agreeing)
+
+    def _look_for(self, pyramid, R_camera_last, R_world_camera, is_usable):
+        """Return which landmarks are found near where they were last seen, as Points."""
+        rows = np.flatnonzero(self._map.landmarks.active)
+        found, points = look_along(
+            (R_world_camera * R_camera_last).apply(self._y[rows]), self._map, rows, pyramid,
+            R_world_camera, is_usable)
+        return found, replace(points, inverse_depths=np.ones(len(found)),
+                              information=np.full(len(found), FIRST_INFORMATION))
+
+
+def contested(poses, costs, places_seen):
+    """
+    Return the covariance (3, 3) in rad² of the best pose's rotation, in the camera, by its rivals.
+
+    Each may be right, the less likely the fewer places agree.
+    """
+    likely = np.exp((costs.min() - costs) * places_seen / TEMPERATURE)
+    best = poses[np.argmin(costs)].R_camera_world.inv()
+    off = np.array([(one.R_camera_world * best).as_rotvec() for one in poses])
+    return (off * likely[:, None]).T @ off / likely.sum()
+
+
+def distinct(poses):
+    """Return those PoseEstimates that are not turned like one before."""
+    kept = []
+    for pose in poses:
+        if all((pose.R_camera_world * one.R_camera_world.inv()).magnitude() > SAME_RAD
+               for one in kept):
+            kept.append(pose)
+    return kept

@@ -1,0 +1,75 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Where a camera is after a large step: by features, for which nothing need be expected."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sph_stab_ros.geometry.rotations import rotation_from_matrix
+from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
+from sph_stab_ros.tracking.anchored.localization import (
+    Localization, look_along, MIN_AGREEMENT, MIN_POINTS)
+from sph_stab_ros.tracking.anchored.pose_estimation import fit_depths
+from sph_stab_ros.tracking.anchored.pose_hypotheses import agreement, fit_poses_among_movers
+from sph_stab_ros.tracking.anchored.relocalization import turn_with_less_parallax
+from sph_stab_ros.tracking.frame_to_frame.estimators.essential import (
+    epipolar_distance, fit_essential, INLIER_RAD)
+from sph_stab_ros.tracking.frame_to_frame.features import detect, match
+
+# Landmarks have moved as those of so many nearest features have in the mean.
+NEIGHBOURS = 3
+# Of the landmarks looked for so many are found at the right place, some by chance anywhere.
+MIN_FOUND = 0.2
+# The step that features tell has no length; so many distances of landmarks for a start.
+STEP = 0.2
+
+
+def locate_widely(landmark_map, grey, pyramid, used, position_sigma, is_usable, scale):
+    """
+    Return the Localization of a camera not far from the last keyframe, None if it cannot be told.
+
+    A-KAZE features give the turn, by an essential matrix, and where landmarks will about be.
+    """
+    keyframe = landmark_map.keyframes[-1]
+    pairs = match(detect(keyframe.grey, used), detect(grey, used))
+    estimate = fit_essential(pairs)
+    if estimate is None:
+        return None
+    R_camera_key = turn_with_less_parallax(estimate, pairs)
+    E = np.cross(np.eye(3), estimate.t_current) @ R_camera_key.as_matrix()
+    pairs = pairs[epipolar_distance(E[None], pairs)[0] < INLIER_RAD]
+    if len(pairs) < MIN_POINTS:
+        return None
+    landmarks = landmark_map.landmarks
+    rows = np.flatnonzero(landmarks.active | (landmarks.host == keyframe.number)
+                          | np.isin(landmarks.number, keyframe.observations.number))
+    before = landmark_map.directions(rows, keyframe.position) @ keyframe.R
+    nearest = np.argsort(-before @ pairs.previous.T, axis=1)[:, :NEIGHBOURS]
+    moved = pairs.current - R_camera_key.apply(pairs.previous)
+    expected = R_camera_key.apply(before) + moved[nearest].mean(axis=1)
+    R_world_camera = rotation_from_matrix(keyframe.R) * R_camera_key.inv()
+    found, points = look_along(
+        R_world_camera.apply(expected / np.linalg.norm(expected, axis=1, keepdims=True)),
+        landmark_map, rows, pyramid, R_world_camera, is_usable)
+    if len(found) < max(MIN_POINTS, MIN_FOUND * len(rows)):
+        return None
+    if len(landmark_map.keyframes) == 1:
+        points = replace(points, inverse_depths=np.ones(len(found)),
+                         information=np.full(len(found), FIRST_INFORMATION))
+    step = -STEP * R_world_camera.apply(estimate.t_current)
+    guesses = [(R_world_camera.inv(), keyframe.position + way * step) for way in (1, 0, 3, -1)]
+    poses, costs = fit_poses_among_movers(
+        points, guesses, position_sigma, np.random.default_rng(0), scale)
+    pose = fit_depths(points, poses[np.argmin(costs)])
+    agreeing = inlier_mask(pose.sizes, pose.scale)
+    if agreement(points.y, agreeing) < MIN_AGREEMENT or agreeing.sum() < MIN_POINTS:
+        return None
+    return Localization(found, points, pose, agreeing)
