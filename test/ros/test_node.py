@@ -9,8 +9,11 @@
 """The node as its users meet it: in its own process, over the middleware."""
 
 from itertools import islice
+import os
 from pathlib import Path
 import signal
+import subprocess
+import sys
 import time
 
 import cv2
@@ -27,7 +30,7 @@ from tiny_recordings import stamps_of, textured_sphere
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import (  # noqa: E402, I100
-    compass_sphere, pixels, rotation, shown_direction, stabilizer, stamp_ns)
+    compass_sphere, DOMAINS, pixels, rotation, shown_direction, stabilizer, stamp_ns)
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 
 PIONEER = Path(__file__).resolve().parents[2] / 'bags' / 'pioneer'
@@ -190,6 +193,19 @@ def test_signals_end_it_with_frames_in_flight(tmp_path, signal_number):
         peer.process.send_signal(signal_number)
         peer.process.wait(30)
     assert process_ended_well(peer)
+
+
+def test_ctrl_c_while_it_is_imported_ends_it_without_a_word():
+    process = subprocess.Popen(
+        [sys.executable, '-X', 'importtime', '-m', 'sph_stab_ros.stabilizer'], text=True,
+        env={**os.environ, 'ROS_DOMAIN_ID': str(next(DOMAINS))}, stderr=subprocess.PIPE)
+    # It says what it has imported.
+    while 'numpy' not in process.stderr.readline():
+        pass
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 0
+    assert not [line for line in said.splitlines() if not line.startswith('import time:')]
 
 
 def test_pressing_ctrl_c_again_and_again_ends_it_as_well(tmp_path):

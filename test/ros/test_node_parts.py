@@ -35,7 +35,7 @@ from sph_stab_ros.ros import diagnostics, imu_input  # noqa: E402
 from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
 from sph_stab_ros.ros.messages import (  # noqa: E402
     make, rates_from_twist, rotation_from_message)
-from sph_stab_ros.stabilizer import StabilizerNode  # noqa: E402
+from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
 
 
 @pytest.mark.parametrize('frame_id', ('', 'i', 'imu_link', 'imu/täter', 'a' * 1001))
