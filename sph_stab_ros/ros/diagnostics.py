@@ -107,16 +107,18 @@ class Diagnostics:
             self._imu_refused += 1
         self._log.warn('imu', f'imu ignored: {error}')
 
-    def status(self, dropped: int, not_drawn: int) -> DiagnosticStatus:
+    def status(
+            self, dropped: int, not_drawn: int, why_no_images: str = '') -> DiagnosticStatus:
         """
         Return the DiagnosticStatus of the time since the last call.
 
-        So many frames were ``dropped`` in all, and so many tracked but not drawn.
+        So many frames were ``dropped`` in all, and so many tracked but not drawn;
+        ``why_no_images`` says why there have been none for a while, where that is known.
         """
         with self._lock:
             elapsed_s = monotonic() - self._period_start_s
             latencies_s = self._latencies_s
-            level, message = self._judgement()
+            level, message = self._judgement(why_no_images)
             values = {
                 'tracking': self._status.value if self._status else 'waiting',
                 'rate_hz': f'{self._frames_in_period / elapsed_s:.1f}',
@@ -161,12 +163,12 @@ class Diagnostics:
         self._latencies_s: list[float] = []
         self._last_refusal = None
 
-    def _judgement(self) -> tuple[bytes, str]:
+    def _judgement(self, why_no_images: str) -> tuple[bytes, str]:
         """Return level and message of the present period."""
         if self._last_refusal:
             return DiagnosticStatus.WARN, f'images are refused: {self._last_refusal}'
         if not self._frames_in_period or self._status is None:
-            return DiagnosticStatus.WARN, 'no images'
+            return DiagnosticStatus.WARN, ': '.join(filter(None, ('no images', why_no_images)))
         if self._status is not TrackingStatus.OK:
             return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'
         if not self._gravity_is_known:

@@ -64,6 +64,7 @@ from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.ros.outputs import Outputs
 from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
+from sph_stab_ros.ros.silence import SilenceWatch
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
 from sph_stab_ros.stabilization.outputs import Output
@@ -100,6 +101,7 @@ class StabilizerNode(Node):
         self._tracking = Worker('tracking', partial(self._safely, self._track))
         self._drawing = Worker('drawing', partial(self._safely, self._draw))
         images = subscribe_to_images(self, 'image', config.image_transport, self._on_image)
+        self._silence = SilenceWatch(self, images, config.image_transport)
         self._imu = ImuInput(self, self._stabilizer.add_imu_samples, self._diagnostics)
         self._imu.listen(config.level == IMU)
 
@@ -142,6 +144,7 @@ class StabilizerNode(Node):
     # In the executor's thread.
 
     def _on_image(self, msg: Any) -> None:
+        self._silence.end()
         if stamp_ns(msg.header.stamp) == 0:
             self.get_logger().warning(
                 'image stamps are zero, times of receipt are used', once=True)
@@ -187,7 +190,8 @@ class StabilizerNode(Node):
         self._imu.collect()
         self._diagnostics_publisher.publish(DiagnosticArray(
             header=Header(stamp=self.get_clock().now().to_msg()),
-            status=[self._diagnostics.status(self._tracking.dropped, self._drawing.dropped)]))
+            status=[self._diagnostics.status(
+                self._tracking.dropped, self._drawing.dropped, self._silence.reason())]))
         give_back_freed_memory()
 
     # In the workers' threads.

@@ -338,4 +338,5 @@ def test_diagnostics_go_on_without_images(tmp_path):
     with stabilizer(tmp_path, *QUICK, topics=('/diagnostics',)) as peer:
         for _ in range(2):
             values = peer.diagnostics(lambda values: True)
-            assert (values['message'], values['tracking']) == ('no images', 'waiting')
+            assert values['message'].startswith('no images')
+            assert values['tracking'] == 'waiting'
