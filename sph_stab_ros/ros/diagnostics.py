@@ -50,11 +50,13 @@ class Diagnostics:
         self._lock = Lock()
         self._frames = 0
         self._imu_samples = self._imu_refused = 0
+        # Of the last sample, if it was refused.
+        self._imu_error = ''
         self._refused: Counter[str] = Counter()
         self._events: Counter[str] = Counter()
         self._tracking: Counter[TrackingStatus] = Counter()
         self._status: TrackingStatus | None = None
-        self._gravity_is_known = True
+        self._no_gravity = ''
         self._uncertainty_rad: float | None = None
         self._keyframes: int | None = None
         self._still_pixels: Mask | None = None
@@ -66,14 +68,18 @@ class Diagnostics:
         with self._lock:
             self._frames += 1
             self._status = stabilized.status
-            self._gravity_is_known = StabilizationEvent.NO_GRAVITY not in stabilized.events
+            self._no_gravity = ''
+            if StabilizationEvent.NO_GRAVITY in stabilized.events:
+                why = self._imu_error or stabilized.why_no_gravity
+                self._no_gravity = f'{StabilizationEvent.NO_GRAVITY.value}: {why}'
             self._tracking[stabilized.status] += 1
             self._frames_in_period += 1
             self._uncertainty_rad = stabilized.uncertainty_rad
             self._keyframes = getattr(tracker, 'keyframes_kept', None)
             self._still_pixels = getattr(tracker, 'body_mask', None)
         for event in stabilized.events:
-            self.event(event.name.lower(), event.value)
+            self.event(event.name.lower(), self._no_gravity
+                       if event is StabilizationEvent.NO_GRAVITY else event.value)
         if stabilized.status is not TrackingStatus.OK:
             self._log.warn(stabilized.status, f'no rotation found: {stabilized.status.value}')
 
@@ -100,11 +106,14 @@ class Diagnostics:
         with self._lock:
             self._imu_samples += samples
             self._imu_samples_in_period += samples
+            if samples:
+                self._imu_error = ''
 
     def refuse_imu(self, error: Exception) -> None:
         """Count a message of the IMU's that cannot be used."""
         with self._lock:
             self._imu_refused += 1
+            self._imu_error = str(error)
         self._log.warn('imu', f'imu ignored: {error}')
 
     def status(
@@ -171,8 +180,8 @@ class Diagnostics:
             return DiagnosticStatus.WARN, ': '.join(filter(None, ('no images', why_no_images)))
         if self._status is not TrackingStatus.OK:
             return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'
-        if not self._gravity_is_known:
-            return DiagnosticStatus.WARN, StabilizationEvent.NO_GRAVITY.value
+        if self._no_gravity:
+            return DiagnosticStatus.WARN, self._no_gravity
         return DiagnosticStatus.OK, 'ok'
 
 

@@ -42,6 +42,10 @@ class ImuHistory:
             if measured.any():
                 series.add(samples.stamps_ns[measured], R_camera_imu.apply(vectors[measured]))
 
+    def all_forces(self) -> tuple[Stamps, Vectors]:
+        """Return stamps (N,) and specific force (N, 3) in m/s² at each."""
+        return self._forces.stamps_ns, self._forces.vectors
+
     def forces(self, after_ns: int, until_ns: int) -> tuple[Stamps, Vectors]:
         """Return stamps (N,) in (after, until] and specific force (N, 3) in m/s² at each."""
         stamps_ns = self._forces.stamps_ns

@@ -43,6 +43,10 @@ APPROACH_S = 1.
 MAX_RATE_RAD_S = np.deg2rad(10.)
 
 
+# What a force of gravity looks like in g.
+IN_G = (0.7, 1.3)
+
+
 class LevelError(ValueError):
     """A level cannot be set now, with the reason in one line for the user."""
 
@@ -72,6 +76,23 @@ def level_rotation(up: Vector) -> Rotation:
     R = Rotation.from_rotvec(axis * np.arctan2(sine, up @ UP))
     R_world_heading = heading(R)
     return R if R_world_heading is None else R_world_heading.inv() * R
+
+
+def why_no_force(stamp_ns: int, imu: ImuHistory) -> str:
+    """Return why nothing that an IMU has felt is of use for the picture of this time."""
+    stamps_ns, forces_m_s2 = imu.all_forces()
+    if not len(stamps_ns):
+        return 'none is heard'
+    behind_s = (stamp_ns - int(stamps_ns[-1])) / NS_PER_S
+    if not ((stamp_ns - MAX_AGE_NS < stamps_ns) & (stamps_ns <= stamp_ns)).any():
+        return (f"the IMU's stamps are {abs(behind_s):.1f} s "
+                f"{'behind' if behind_s > 0 else 'ahead of'} the pictures'")
+    size_m_s2 = float(np.median(np.linalg.norm(forces_m_s2, axis=1)))
+    if IN_G[0] < size_m_s2 < IN_G[1]:
+        return f'they are of {size_m_s2:.2f} m/s², as if they were in g'
+    if size_m_s2 < USABLE_M_S2[0]:
+        return f'they are of {size_m_s2:.2f} m/s², as if gravity had been taken out'
+    return f'they are of {size_m_s2:.0f} m/s², beyond what a camera at rest or in flight feels'
 
 
 class Gravity:

@@ -26,7 +26,7 @@ from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rot
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
 from sph_stab_ros.stabilization.imu_history import ImuHistory
-from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError
+from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError, why_no_force
 from sph_stab_ros.stabilization.smoothing import Smoother
 from sph_stab_ros.tracking import (
     make_tracker, MakeTracker, TrackedOrientation, Tracker, TrackingStatus, working_width)
@@ -63,6 +63,8 @@ class StabilizedFrame:
     R_world_virtual: Rotation = field(default_factory=Rotation.identity)
     # Of the frame's image; None where it is equirectangular.
     projection: Projection | None = None
+    # What is known of the cause of NO_GRAVITY.
+    why_no_gravity: str = ''
 
     @property
     def stamp_ns(self) -> int:
@@ -206,7 +208,9 @@ class Stabilizer:
         self._last = frame
         return StabilizedFrame(
             frame, R_world_camera, tracked.status, events,
-            covariance, R_world_virtual, self._projection)
+            covariance, R_world_virtual, self._projection,
+            why_no_force(frame.stamp_ns, self._imu)
+            if StabilizationEvent.NO_GRAVITY in events else '')
 
     def settle(self) -> None:
         """Do what the last frame did not have to wait for; the next one will do it otherwise."""

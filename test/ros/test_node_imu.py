@@ -10,6 +10,7 @@
 
 from collections import Counter
 from dataclasses import replace
+from itertools import count
 import time
 from types import SimpleNamespace
 
@@ -36,6 +37,7 @@ PARAMETERS = [word for name, value in (
     ('level', 'imu'), ('imu.roll_deg', '10.0'), ('imu.pitch_deg', '20.0'),
     ('imu.yaw_deg', '-40.0'), ('working_width', '256')) for word in ('-p', f'{name}:={value}')]
 NOT_MEASURED = [-1.] + 8 * [0.]
+HOURS = count(1)
 
 
 @pytest.fixture(scope='module')
@@ -206,19 +208,29 @@ def test_what_an_imu_does_not_measure_is_not_used(peer):
     assert angle_deg(peer.stabilize(seen(tilt), start_ns + NS_PER_S), tilt) < 0.01
 
 
-def test_a_silent_imu_is_told_of(peer):
-    stamps_ns = iter(500 * NS_PER_S + PERIOD_NS * np.arange(10**5))
+@pytest.mark.parametrize('force, cause', (
+    (None, 'none is heard'),
+    ((0, 0, 0), 'the specific force is zero'),
+    ((0, 0, 1.), 'they are of 1.00 m/s², as if they were in g'),
+))
+def test_an_imu_that_is_of_no_use_is_told_of_with_the_cause(peer, force, cause):
+    # After what others have felt.
+    stamps_ns = iter(next(HOURS) * 3600 * NS_PER_S + PERIOD_NS * np.arange(10**5))
     image = seen(Rotation.identity())
 
     def told():
-        peer.stabilize(image, next(stamps_ns))
+        stamp_ns = next(stamps_ns)
+        if force:
+            peer.feel(SimpleNamespace(stamp_ns=stamp_ns, specific_force_m_s2=force,
+                                      angular_velocity_rad_s=(0, 0, 0)))
+        peer.stabilize(image, stamp_ns)
         return [msg.status[0] for msg in peer.received['/diagnostics']
-                if 'no usable force from the IMU' in msg.status[0].message]
+                if 'no usable force from the IMU' in msg.status[0].message
+                and cause in msg.status[0].message]
 
     peer.received['/diagnostics'].clear()
-    status, = peer.wait_until(told)
+    status = peer.wait_until(told)[0]
     assert status.level == DiagnosticStatus.WARN
-    assert ('imu_rate_hz', '0.0') in [(pair.key, pair.value) for pair in status.values]
 
 
 def test_the_imu_is_listened_to_only_where_it_is_of_use(tmp_path):

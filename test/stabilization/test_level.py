@@ -240,15 +240,24 @@ def picture(i, R=Rotation.identity()):
     return Frame(textured_sphere(256, R), i * PERIOD_NS)
 
 
-@pytest.mark.parametrize('force', (None, (0, 0, 1e-3), (0, 0, 200.)))
-def test_without_usable_forces_the_first_picture_stays_level_and_it_is_told(force):
+@pytest.mark.parametrize('force, late_s, why', (
+    (None, 0, 'none is heard'),
+    ((0, 0, 1e-3), 0, 'they are of 0.00 m/s², as if gravity had been taken out'),
+    ((0, 0.6, 0.8), 0, 'they are of 1.00 m/s², as if they were in g'),
+    ((0, 0, 200.), 0, 'they are of 200 m/s², beyond'),
+    ((0, 0, 9.8), 12.5, "the IMU's stamps are 12.5 s behind the pictures'"),
+    ((0, 0, 9.8), -3600, "the IMU's stamps are 3600.0 s ahead of the pictures'"),
+))
+def test_without_usable_forces_the_first_picture_stays_level_and_it_is_told_why(
+        force, late_s, why):
     stabilizer = levelling_stabilizer()
     events = set()
     for i in range(40):
         if force is not None:
-            stabilizer.add_imu(ImuSample(i * PERIOD_NS, force))
+            stabilizer.add_imu(ImuSample(i * PERIOD_NS - round(late_s * 1e9), force))
         stabilized = stabilizer.process(picture(i))
         events.update(stabilized.events)
+    assert stabilized.why_no_gravity.startswith(why)
     assert stabilized.R_world_camera.magnitude() < 1e-3
     assert events == {StabilizationEvent.NO_GRAVITY}
 
