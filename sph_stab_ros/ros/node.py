@@ -88,6 +88,7 @@ class StabilizerNode(Node):
         self._stabilizer = Stabilizer(config)
         self._last_stamp_ns = 0
         self._reset_wanted = False
+        self._said = ThrottledLog(self.get_logger().info)
 
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(),
                                         self.get_logger().warning)
@@ -153,7 +154,7 @@ class StabilizerNode(Node):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._reset_wanted = True
-        self.get_logger().info('reset: the next image defines the stabilized frame')
+        self._said.warn('reset', 'reset: the next image defines the stabilized frame')
         return Trigger.Response(
             success=True, message='the next image defines the stabilized frame')
 

@@ -167,6 +167,13 @@ def test_view_follows_whoever_spoke_last(tmp_path):
         peer.wait_until(lambda: shows(down))
 
 
+def test_resets_do_not_flood_the_log(tmp_path):
+    with stabilizer(tmp_path, *QUICK) as peer:
+        for _ in range(50):
+            assert peer.reset().success
+        assert peer.output().count('reset: ') < 10
+
+
 def test_reset_makes_the_next_image_the_world(tmp_path):
     frames = pioneer_frames(40)
     with stabilizer(tmp_path, *QUICK, topics=('orientation', 'stabilized/image')) as peer:
