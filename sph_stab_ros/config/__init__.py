@@ -15,12 +15,12 @@ from sph_stab_ros.config.schema import (
     LensConfig, LEVELS, LOCK, METHODS, MIN_WIDTH, MODES, NODE_PARAMETERS, NodeConfig, PROJECTIONS,
     RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW, VIEW_NAME, view_parameters,
     ViewConfig, YAW_FOLLOW)
-from sph_stab_ros.config.settings import Settings, settings_of
+from sph_stab_ros.config.settings import frame_in_tf, Settings, settings_of
 
 __all__ = [
     'ANCHORED', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME', 'FisheyeConfig',
-    'FLOWS', 'FOLLOW', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS', 'LOCK',
-    'METHODS', 'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options',
+    'FLOWS', 'FOLLOW', 'frame_in_tf', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS',
+    'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options',
     'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig',
     'TrackerConfig', 'VIEW', 'VIEW_NAME', 'view_parameters', 'ViewConfig', 'with_option',
     'YAW_FOLLOW']

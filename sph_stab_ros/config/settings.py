@@ -65,11 +65,17 @@ class Settings:
 
     def check_frames(self) -> None:
         """Raise ConfigError unless all frames that are published can be told apart."""
-        frames = [view.frame_id for view in self.views.values()]
-        frames += self.config.stabilized_frame, self.config.virtual_frame
+        frames = [frame_in_tf(one) for one in (
+            self.config.stabilized_frame, self.config.virtual_frame,
+            *(view.frame_id for view in self.views.values()))]
         if '' in frames or len(set(frames)) < len(frames):
             raise ConfigError('stabilized_frame, virtual_frame and the frame_id of each view must '
                               'be different names')
+
+
+def frame_in_tf(frame_id: str) -> str:
+    """Return the name of a frame as tf2 takes it, which knows of no slash before it."""
+    return frame_id.removeprefix('/')
 
 
 def settings_of(parameters: Mapping[str, tuple[str, Any]]) -> Settings:

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sph_stab_ros.geometry.arrays import Mask
+from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.equirect import is_equirect, row_solid_angles
 
 LATITUDE_PREFIX = 'lat:'
@@ -35,8 +35,7 @@ def load_mask(spec: str, width: int) -> Mask | None:
     if spec.startswith(LATITUDE_PREFIX):
         used = _outside_latitudes(spec, width)
     else:
-        # OpenCV says more than one line about a file that is not there.
-        image = cv2.imread(spec, cv2.IMREAD_GRAYSCALE) if Path(spec).is_file() else None
+        image = _read_grey(spec)
         if image is None:
             raise MaskError(f"mask '{spec}' cannot be read as an image")
         if not is_equirect(image.shape):
@@ -58,6 +57,16 @@ def antipodal(used: Mask | None) -> Mask | None:
     if used is None:
         return None
     return used & np.roll(used[::-1], used.shape[1] // 2, axis=1)
+
+
+def _read_grey(path: str) -> Grey | None:
+    """Return a picture, or None where there is none that can be read."""
+    try:
+        # OpenCV says more than one line about a file that is not there.
+        return cv2.imread(path, cv2.IMREAD_GRAYSCALE) if Path(path).is_file() else None
+    except (OSError, cv2.error):
+        # A name that no file can have, a folder that is closed, a picture too large for OpenCV.
+        return None
 
 
 def _outside_latitudes(spec: str, width: int) -> Mask:

@@ -111,6 +111,7 @@ async def serve(args: Namespace) -> None:
     from sph_stab_ros.operator.robot import Robot
     from sph_stab_ros.operator.server import OperatorServer
     from sph_stab_ros.ros.diagnostics import ThrottledLog
+    from sph_stab_ros.ros.parameters import undeclared_overrides
 
     loop = asyncio.get_running_loop()
     ending = asyncio.Event()
@@ -120,6 +121,10 @@ async def serve(args: Namespace) -> None:
     robot = Robot(args.stabilizer,
                   lambda picture: loop.call_soon_threadsafe(server.show, picture),
                   args.pictures)
+    unknown = undeclared_overrides(robot)
+    if unknown:
+        LOG.warning('there is no parameter %s here; those of the stabilizer are set at that node',
+                    ', '.join(map(repr, unknown)))
     server = OperatorServer(robot, Access(args.host, token), ThrottledLog(LOG.warning).warn,
                             args.browsers)
     try:

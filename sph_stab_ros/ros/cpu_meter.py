@@ -8,7 +8,8 @@
 
 """Which stage of the work takes how much of the CPU."""
 
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
 from time import monotonic, process_time
@@ -22,13 +23,13 @@ class CpuMeter:
     runs meanwhile, such as the receipt of the next image, counts too.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lock = Lock()
-        self._stages_s = Counter()
+        self._stages_s: defaultdict[str, float] = defaultdict(float)
         self._start()
 
     @contextmanager
-    def stage(self, name):
+    def stage(self, name: str) -> Iterator[None]:
         """Count the CPU time of the block to a stage."""
         start_s = process_time()
         try:
@@ -37,7 +38,7 @@ class CpuMeter:
             with self._lock:
                 self._stages_s[name] += process_time() - start_s
 
-    def percentages(self):
+    def percentages(self) -> dict[str, float]:
         """Return the CPU by stage and in 'total' since the last call, in percent of one core."""
         with self._lock:
             percent_per_s = 100 / (monotonic() - self._start_s)
@@ -45,7 +46,7 @@ class CpuMeter:
             self._start()
         return {name: percent_per_s * seconds for name, seconds in used_s.items()}
 
-    def _start(self):
+    def _start(self) -> None:
         self._start_s, self._start_cpu_s = monotonic(), process_time()
         # A stage that was seen once is told of even when it rests.
-        self._stages_s = Counter(dict.fromkeys(self._stages_s, 0.))
+        self._stages_s = defaultdict(float, dict.fromkeys(self._stages_s, 0.))

@@ -9,16 +9,19 @@
 """What became of the images: counted, logged without flooding, summed up for /diagnostics."""
 
 from collections import Counter
+from collections.abc import Callable, Hashable
 from threading import Lock
 from time import monotonic
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 import numpy as np
 
+from sph_stab_ros.geometry.arrays import Mask
 from sph_stab_ros.geometry.masks import share_of_sphere
 from sph_stab_ros.ros.cpu_meter import CpuMeter
-from sph_stab_ros.stabilization.pipeline import StabilizationEvent
-from sph_stab_ros.tracking import TrackingStatus
+from sph_stab_ros.stabilization.pipeline import StabilizationEvent, StabilizedFrame
+from sph_stab_ros.tracking import Tracker, TrackingStatus
 
 LOG_PERIOD_S = 5.0
 
@@ -39,77 +42,92 @@ class Diagnostics:
 
     """
 
-    def __init__(self, name, warn):
+    def __init__(self, name: str, warn: Callable[[str], Any]) -> None:
         self.cpu = CpuMeter()
         self.listens_to_imu = False
         self._name = name
         self._log = ThrottledLog(warn)
         self._lock = Lock()
         self._frames = 0
-        self._imu_refused = 0
-        self._refused = Counter()
-        self._events = Counter()
-        self._tracking = Counter()
-        self._status = None
-        self._gravity_is_known = True
-        self._uncertainty_rad = self._keyframes = self._still_pixels = None
+        self._imu_samples = self._imu_refused = 0
+        # Of the last sample, if it was refused.
+        self._imu_error = ''
+        self._refused: Counter[str] = Counter()
+        self._events: Counter[str] = Counter()
+        self._tracking: Counter[TrackingStatus] = Counter()
+        self._status: TrackingStatus | None = None
+        self._no_gravity = ''
+        self._uncertainty_rad: float | None = None
+        self._keyframes: int | None = None
+        self._still_pixels: Mask | None = None
+        self._last_refusal: str | None = None
         self._start_period()
 
-    def count_frame(self, stabilized, tracker=None):
+    def count_frame(self, stabilized: StabilizedFrame, tracker: Tracker | None = None) -> None:
         """Count a StabilizedFrame of a Tracker's."""
         with self._lock:
             self._frames += 1
             self._status = stabilized.status
-            self._gravity_is_known = StabilizationEvent.NO_GRAVITY not in stabilized.events
+            self._no_gravity = ''
+            if StabilizationEvent.NO_GRAVITY in stabilized.events:
+                why = self._imu_error or stabilized.why_no_gravity
+                self._no_gravity = f'{StabilizationEvent.NO_GRAVITY.value}: {why}'
             self._tracking[stabilized.status] += 1
             self._frames_in_period += 1
             self._uncertainty_rad = stabilized.uncertainty_rad
             self._keyframes = getattr(tracker, 'keyframes_kept', None)
             self._still_pixels = getattr(tracker, 'body_mask', None)
         for event in stabilized.events:
-            self.event(event.name.lower(), event.value)
+            self.event(event.name.lower(), self._no_gravity
+                       if event is StabilizationEvent.NO_GRAVITY else event.value)
         if stabilized.status is not TrackingStatus.OK:
             self._log.warn(stabilized.status, f'no rotation found: {stabilized.status.value}')
 
-    def count_latency(self, latency_s):
+    def count_latency(self, latency_s: float) -> None:
         """Count a frame of which everything was published so long after its receipt."""
         with self._lock:
             self._latencies_s.append(latency_s)
 
-    def event(self, name, text):
+    def event(self, name: str, text: str) -> None:
         """Count and log something that users should hear of."""
         with self._lock:
             self._events[name] += 1
         self._log.warn(name, text)
 
-    def refuse(self, reason, detail):
+    def refuse(self, reason: str, detail: object) -> None:
         """Count an image that cannot be used; ``reason`` is one of few, ``detail`` is logged."""
         with self._lock:
             self._refused[reason] += 1
             self._last_refusal = reason
         self._log.warn(reason, f'image refused, {detail}')
 
-    def count_imu(self):
-        """Count a sample of the IMU."""
+    def count_imu(self, samples: int) -> None:
+        """Count samples of the IMU."""
         with self._lock:
-            self._imu_samples += 1
+            self._imu_samples += samples
+            self._imu_samples_in_period += samples
+            if samples:
+                self._imu_error = ''
 
-    def refuse_imu(self, error):
+    def refuse_imu(self, error: Exception) -> None:
         """Count a message of the IMU's that cannot be used."""
         with self._lock:
             self._imu_refused += 1
+            self._imu_error = str(error)
         self._log.warn('imu', f'imu ignored: {error}')
 
-    def status(self, dropped, not_drawn):
+    def status(
+            self, dropped: int, not_drawn: int, why_no_images: str = '') -> DiagnosticStatus:
         """
         Return the DiagnosticStatus of the time since the last call.
 
-        So many frames were ``dropped`` in all, and so many tracked but not drawn.
+        So many frames were ``dropped`` in all, and so many tracked but not drawn;
+        ``why_no_images`` says why there have been none for a while, where that is known.
         """
         with self._lock:
             elapsed_s = monotonic() - self._period_start_s
             latencies_s = self._latencies_s
-            level, message = self._judgement()
+            level, message = self._judgement(why_no_images)
             values = {
                 'tracking': self._status.value if self._status else 'waiting',
                 'rate_hz': f'{self._frames_in_period / elapsed_s:.1f}',
@@ -131,9 +149,9 @@ class Diagnostics:
             level=level, name=f'{self._name}: stabilization', message=message,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
-    def _state(self):
+    def _state(self) -> dict[str, Any]:
         """Return what the tracker knew about itself at the last frame."""
-        values = {}
+        values: dict[str, Any] = {}
         if self._uncertainty_rad is not None:
             values['uncertainty_deg'] = f'{np.rad2deg(self._uncertainty_rad):.3f}'
         if self._keyframes is not None:
@@ -142,39 +160,40 @@ class Diagnostics:
             values['still_percent'] = f'{100 * share_of_sphere(self._still_pixels):.1f}'
         return values
 
-    def _of_imu(self, elapsed_s):
-        return {'imu_rate_hz': f'{self._imu_samples / elapsed_s:.1f}',
+    def _of_imu(self, elapsed_s: float) -> dict[str, Any]:
+        return {'imu_rate_hz': f'{self._imu_samples_in_period / elapsed_s:.1f}',
+                'imu_samples': self._imu_samples,
                 'imu_refused': self._imu_refused} if self.listens_to_imu else {}
 
-    def _start_period(self):
+    def _start_period(self) -> None:
         self._period_start_s = monotonic()
-        self._imu_samples = 0
+        self._imu_samples_in_period = 0
         self._frames_in_period = 0
-        self._latencies_s = []
+        self._latencies_s: list[float] = []
         self._last_refusal = None
 
-    def _judgement(self):
+    def _judgement(self, why_no_images: str) -> tuple[bytes, str]:
         """Return level and message of the present period."""
         if self._last_refusal:
             return DiagnosticStatus.WARN, f'images are refused: {self._last_refusal}'
-        if not self._frames_in_period:
-            return DiagnosticStatus.WARN, 'no images'
+        if not self._frames_in_period or self._status is None:
+            return DiagnosticStatus.WARN, ': '.join(filter(None, ('no images', why_no_images)))
         if self._status is not TrackingStatus.OK:
             return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'
-        if not self._gravity_is_known:
-            return DiagnosticStatus.WARN, StabilizationEvent.NO_GRAVITY.value
+        if self._no_gravity:
+            return DiagnosticStatus.WARN, self._no_gravity
         return DiagnosticStatus.OK, 'ok'
 
 
 class ThrottledLog:
     """Says each kind of thing at most once in LOG_PERIOD_S, and how often it was not said."""
 
-    def __init__(self, warn):
+    def __init__(self, warn: Callable[[str], Any]) -> None:
         self._warn = warn
-        self._next_s = {}
-        self._unsaid = Counter()
+        self._next_s: dict[Hashable, float] = {}
+        self._unsaid: Counter[Hashable] = Counter()
 
-    def warn(self, kind, text):
+    def warn(self, kind: Hashable, text: str) -> None:
         """Log ``text`` unless something of the same kind was logged just now."""
         if monotonic() < self._next_s.get(kind, 0):
             self._unsaid[kind] += 1

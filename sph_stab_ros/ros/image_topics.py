@@ -13,13 +13,26 @@ Remapping ``image`` takes ``image/compressed`` along, unless that is remapped it
 of service can be overridden by parameters (``qos_overrides.<topic>.publisher.depth``, …).
 """
 
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from collections.abc import Callable
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CompressedImage, Image
 from sph_stab_ros.stabilization.outputs import COMPRESSED
 
+POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
+            QoSPolicyKind.DURABILITY)
+# The middleware counts in 32 bits.
+MAX_DEPTH = 2**31 - 1
 
-def subscribe_to_images(node, topic, transport, callback):
+
+def subscribe_to_images(node: Node, topic: str, transport: str,
+                        callback: Callable[[Any], None]) -> Subscription:
     """Subscribe to ``topic`` as 'raw' or 'compressed' images, as sensor data."""
     compressed = transport == 'compressed'
     return subscribe(
@@ -28,28 +41,42 @@ def subscribe_to_images(node, topic, transport, callback):
         QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
 
 
-def subscribe(node, msg_type, topic, callback, qos=10):
+def subscribe(node: Node, msg_type: type[Any], topic: str, callback: Callable[[Any], None],
+              qos: QoSProfile | int = 10, **options: Any) -> Subscription:
     """Return a subscription; ``qos`` is a QoSProfile or the depth of a reliable one."""
     return node.create_subscription(
-        msg_type, topic, callback, qos,
-        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        msg_type, topic, callback, qos, qos_overriding_options=_overriding(), **options)
 
 
-def advertise(node, msg_type, topic, depth=5):
+def advertise(node: Node, msg_type: type[Any], topic: str, depth: int = 5) -> Publisher:
     """Return a publisher, reliable so that every subscriber matches (REP 2003)."""
     return node.create_publisher(
-        msg_type, topic, QoSProfile(depth=depth),
-        qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        msg_type, topic, QoSProfile(depth=depth), qos_overriding_options=_overriding())
 
 
-def is_wanted(publisher):
-    """Tell whether anybody subscribes to a publisher's topic."""
-    return publisher.get_subscription_count() > 0
+def is_wanted(publisher: Publisher) -> bool:
+    """Tell whether anybody subscribes to a publisher's topic, or may later and wants the last."""
+    return (publisher.get_subscription_count() > 0
+            or publisher.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def compressed_topic(node, topic):
+def compressed_topic(node: Node, topic: str) -> str:
     """Return where the compressed images of ``topic`` are, remappings considered."""
     name = topic + COMPRESSED
     if node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True):
         return name
     return node.resolve_topic_name(topic) + COMPRESSED
+
+
+def _overriding() -> QoSOverridingOptions:
+    return QoSOverridingOptions(POLICIES, callback=_checked)
+
+
+def _checked(qos: QoSProfile) -> SetParametersResult:
+    """Refuse what rclpy lets pass and the middleware then fails at."""
+    if not 1 <= qos.depth <= MAX_DEPTH:
+        return SetParametersResult(
+            successful=False, reason=f'a depth is at least 1 and at most {MAX_DEPTH}')
+    if 'UNKNOWN' in (qos.history.name, qos.reliability.name, qos.durability.name):
+        return SetParametersResult(successful=False, reason="no policy can be 'unknown'")
+    return SetParametersResult(successful=True)

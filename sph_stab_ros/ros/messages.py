@@ -10,6 +10,7 @@
 
 from functools import cache
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,30 +23,31 @@ from sph_stab_ros.stabilization.steering import Rates
 QUATERNION_TOLERANCE = 0.01
 
 
-def stamp_ns(stamp):
+def stamp_ns(stamp: Any) -> int:
     """Return a builtin_interfaces Time in nanoseconds."""
     return stamp.sec * NS_PER_S + stamp.nanosec
 
 
 @cache
-def message_type(name):
+def message_type(name: str) -> type[Any]:
     """Return the class of, for example, ``sensor_msgs/msg/Image``; ImportError without it."""
     package, _, message = name.split('/')
     module = import_module(f'{package}.msg')
     try:
-        return getattr(module, message)
+        found: type[Any] = getattr(module, message)
     except AttributeError:
         raise ImportError(f'{package} has no {message}') from None
+    return found
 
 
-def make(type_name, **fields):
+def make(type_name: str, **fields: Any) -> Any:
     """Return the message of a type with these fields."""
     arrays = {name: fields.pop(name) for name, value in tuple(fields.items())
               if isinstance(value, np.ndarray)}
     return fill_message(message_type(type_name)(**fields), arrays)
 
 
-def rotation_from_message(msg):
+def rotation_from_message(msg: Any) -> Rotation:
     """Return the Rotation of a QuaternionStamped; ValueError where it is not a unit one."""
     quaternion = msg.quaternion.x, msg.quaternion.y, msg.quaternion.z, msg.quaternion.w
     # Written so that NaN fails too.
@@ -54,7 +56,7 @@ def rotation_from_message(msg):
     return Rotation.from_quat(quaternion)
 
 
-def rates_from_twist(msg):
+def rates_from_twist(msg: Any) -> Rates:
     """
     Return the Rates of a Twist; ValueError where one that counts is not finite.
 

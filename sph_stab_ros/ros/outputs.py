@@ -8,12 +8,21 @@
 
 """The publishers of the node: as much of each stabilised frame as somebody subscribes to."""
 
+from collections.abc import Iterable
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sph_stab_ros.config import Settings
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE, TRANSFORMS
+from sph_stab_ros.ros.cpu_meter import CpuMeter
+from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, compressed_topic, is_wanted
 from sph_stab_ros.ros.messages import make, message_type
 from sph_stab_ros.ros.views import View
 from sph_stab_ros.stabilization.outputs import (
-    COMPRESSED, fits_into_tree, orientation_outputs, picture_outputs, topics, TRANSFORMS_TOPIC)
+    COMPRESSED, fits_into_tree, orientation_outputs, Output, picture_outputs, topics,
+    TRANSFORMS_TOPIC)
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 
 # Orientations are small, and who records them wants them all.
 DEPTHS = {'orientation': 10, 'orientation_covariance': 10, 'virtual_orientation': 10,
@@ -35,11 +44,12 @@ class Outputs:
 
     """
 
-    def __init__(self, node, settings, log, cpu):
+    def __init__(self, node: Node, settings: Settings, log: ThrottledLog, cpu: CpuMeter) -> None:
         self._config = settings.config
         self._cpu = cpu
         self._log = node.get_logger()
-        self._publishers, self._picture_publishers = {}, []
+        self._publishers: dict[str, Publisher] = {}
+        self._picture_publishers: list[Publisher] = []
         for topic, type_name in topics(settings.views).items():
             try:
                 msg_type = message_type(type_name)
@@ -58,23 +68,23 @@ class Outputs:
                 self._picture_publishers.append(publisher)
         self._views = [View(node, name, settings, log) for name in settings.views]
 
-    def reconfigure(self, settings, names):
+    def reconfigure(self, settings: Settings, names: set[str]) -> None:
         """Take on Settings of which the parameters ``names`` were set just now."""
         self._config = settings.config
         for view in self._views:
             view.reconfigure(settings, names)
 
-    def look_home(self):
+    def look_home(self) -> None:
         """Let all views look at the stabilised frame's front."""
         for view in self._views:
             view.look_home()
 
     @property
-    def pictures_wanted(self):
+    def pictures_wanted(self) -> bool:
         """Tell whether anybody subscribes to pictures."""
         return any(map(is_wanted, self._picture_publishers))
 
-    def publish_orientation(self, stabilized):
+    def publish_orientation(self, stabilized: StabilizedFrame) -> list[Output]:
         """
         Publish where the camera of a StabilizedFrame looks.
 
@@ -89,7 +99,7 @@ class Outputs:
                               once=True)
         return list(picture_outputs(stabilized, config, cameras))
 
-    def publish(self, outputs):
+    def publish(self, outputs: Iterable[Output]) -> None:
         """Publish those Outputs that somebody subscribes to."""
         for output in outputs:
             if not self._is_wanted(output.topic):
@@ -100,5 +110,5 @@ class Outputs:
             with self._cpu.stage('publish'):
                 self._publishers[output.topic].publish(output.message(make))
 
-    def _is_wanted(self, topic):
+    def _is_wanted(self, topic: str) -> bool:
         return topic in self._publishers and is_wanted(self._publishers[topic])

@@ -8,13 +8,18 @@
 
 """The node's parameters, made from the options in config and turned into configs again."""
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from collections.abc import Iterable, Mapping
+from typing import Any
 
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sph_stab_ros.config import Settings, VIEW
+from sph_stab_ros.config.options import Option
 from sph_stab_ros.tracking import check_mask
 
 
-def changed(settings, parameters):
+def changed(settings: Settings, parameters: Iterable[Parameter]) -> Settings:
     """
     Return Settings with the values of rclpy Parameters; those of others are left out.
 
@@ -27,7 +32,7 @@ def changed(settings, parameters):
     return new
 
 
-def declare_parameters(node):
+def declare_parameters(node: Node) -> Settings:
     """
     Declare all parameters with description, range and default; return the Settings they give.
 
@@ -44,12 +49,12 @@ def declare_parameters(node):
     return settings
 
 
-def undeclared_overrides(node):
+def undeclared_overrides(node: Node) -> list[str]:
     """Return the names of parameters given at start that the node does not have."""
     return [name for name in node._parameter_overrides if not node.has_parameter(name)]
 
 
-def descriptor(option):
+def descriptor(option: Option) -> ParameterDescriptor:
     """Return the ParameterDescriptor of an Option."""
     return ParameterDescriptor(
         description=option.description,
@@ -58,13 +63,13 @@ def descriptor(option):
         **_range(option))
 
 
-def _declare(node, options):
+def _declare(node: Node, options: Mapping[str, Option]) -> list[Parameter]:
     """Declare parameters by their names and Options; return them."""
     return [node.declare_parameter(name, option.default, descriptor(option))
             for name, option in options.items()]
 
 
-def _range(option):
+def _range(option: Option) -> dict[str, Any]:
     if option.minimum is None:
         return {}
     if isinstance(option.default, int):

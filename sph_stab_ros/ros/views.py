@@ -18,8 +18,10 @@ from time import monotonic
 
 from geometry_msgs.msg import QuaternionStamped, Twist
 import numpy as np
+from rclpy.node import Node
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.config import options, ViewConfig
+from sph_stab_ros.config import options, Settings, ViewConfig
+from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.image_topics import subscribe
 from sph_stab_ros.ros.messages import rates_from_twist, rotation_from_message
 from sph_stab_ros.stabilization.outputs import configured_look, VirtualCamera
@@ -28,7 +30,8 @@ from sph_stab_ros.stabilization.steering import Steering
 DIRECTION = {'yaw_deg', 'pitch_deg', 'roll_deg'}
 HFOV_LIMITS_RAD = next(
     (np.deg2rad(one.minimum), np.deg2rad(one.maximum))
-    for one in options(ViewConfig) if one.name == 'hfov_deg')
+    for one in options(ViewConfig)
+    if one.name == 'hfov_deg' and one.minimum is not None and one.maximum is not None)
 
 
 class View:
@@ -46,7 +49,7 @@ class View:
 
     """
 
-    def __init__(self, node, name, settings, log):
+    def __init__(self, node: Node, name: str, settings: Settings, log: ThrottledLog) -> None:
         self._name = name
         self._log = log
         self._config, self._view = settings.config, settings.views[name]
@@ -54,7 +57,7 @@ class View:
         subscribe(node, QuaternionStamped, f'{name}/direction', self._on_direction)
         subscribe(node, Twist, f'{name}/cmd_vel', self._on_cmd_vel)
 
-    def reconfigure(self, settings, names):
+    def reconfigure(self, settings: Settings, names: set[str]) -> None:
         """
         Take on Settings of which the parameters ``names`` were set just now.
 
@@ -68,15 +71,15 @@ class View:
         if 'hfov_deg' in own:
             self._steering.look(monotonic(), hfov_rad=np.deg2rad(self._view.hfov_deg))
 
-    def camera(self):
+    def camera(self) -> VirtualCamera:
         """Return the VirtualCamera that looks as this view does at present."""
         return VirtualCamera(self._name, self._view, self._steering.at(monotonic()))
 
-    def look_home(self):
+    def look_home(self) -> None:
         """Look at the stabilised frame's front."""
         self._steering.look(monotonic(), R_virtual_view=Rotation.identity())
 
-    def _on_direction(self, msg):
+    def _on_direction(self, msg: QuaternionStamped) -> None:
         """Look there until the direction is set again, by topic or parameter."""
         topic = f'{self._name}/direction'
         frames = self._config.stabilized_frame, self._config.virtual_frame
@@ -88,7 +91,7 @@ class View:
         except ValueError as error:
             self._log.warn(topic, f'{topic} ignored: {error}')
 
-    def _on_cmd_vel(self, msg):
+    def _on_cmd_vel(self, msg: Twist) -> None:
         """Turn and zoom until the next message, or until it is overdue."""
         try:
             self._steering.turn(

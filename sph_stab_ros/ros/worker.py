@@ -8,7 +8,9 @@
 
 """A thread that always works on the newest item; those it has no time for are dropped."""
 
+from collections.abc import Callable
 from threading import Thread
+from typing import Any
 
 from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
 
@@ -20,30 +22,30 @@ class Worker:
     ``work`` must not raise anything.
     """
 
-    def __init__(self, name, work):
-        self._mailbox = OneSlotMailbox()
+    def __init__(self, name: str, work: Callable[..., None]) -> None:
+        self._mailbox: OneSlotMailbox[tuple[Any, ...]] = OneSlotMailbox()
         self._work = work
         self._thread = Thread(target=self._run, name=name, daemon=True)
 
     @property
-    def dropped(self):
+    def dropped(self) -> int:
         """Return how many items gave way to newer ones."""
         return self._mailbox.dropped
 
-    def start(self):
+    def start(self) -> None:
         """Start to work."""
         self._thread.start()
 
-    def put(self, *item):
+    def put(self, *item: Any) -> None:
         """Leave something to be worked on, in place of what is not begun yet."""
         self._mailbox.put(item)
 
-    def close(self):
+    def close(self) -> None:
         """Let the work at hand be finished, and wait for that."""
         self._mailbox.close()
         if self._thread.is_alive():
             self._thread.join()
 
-    def _run(self):
+    def _run(self) -> None:
         while (item := self._mailbox.get()) is not None:
             self._work(*item)

@@ -6,26 +6,24 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Samples of an inertial measurement unit, and the rotation that its gyro measured."""
+"""Samples of an inertial measurement unit, one by one and many at a time."""
 
-from bisect import bisect_right
-from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.arrays import Stamps, Vector, Vectors
+from sph_stab_ros.geometry.arrays import Choice, Stamps, Vector, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
 
-# Over a longer silence of the gyro nothing is known.
-MAX_GAP_NS = NS_PER_S // 10
-# Stamps that go back further are those of a new start; others are late and left out.
-NEW_START_NS = NS_PER_S // 10
-HISTORY_NS = 2 * NS_PER_S
+# No sensor goes further: 200 g, and more than the 4000 degrees/s of the fastest gyros.
+MAX_FORCE_M_S2 = 2000.
+MAX_RATE_RAD_S = 100.
 # In the first element of a message's covariance, as REP 145 has it.
 NOT_MEASURED = -1.
+NEITHER = 'by its covariances it measures neither force nor angular velocity'
 
 
 class ImuError(ValueError):
@@ -47,14 +45,17 @@ class ImuSample:
 
     def __post_init__(self) -> None:
         """Make arrays of what is given, and check them."""
-        for name, title in (('specific_force_m_s2', 'specific force'),
-                            ('angular_velocity_rad_s', 'angular velocity')):
+        for name, title, largest in (
+                ('specific_force_m_s2', 'specific force', MAX_FORCE_M_S2),
+                ('angular_velocity_rad_s', 'angular velocity', MAX_RATE_RAD_S)):
             value = getattr(self, name)
             if value is None:
                 continue
             value = np.array(value, float)
             if value.shape != (3,) or not np.isfinite(value).all():
                 raise ImuError(f'the {title} is {value.tolist()}, not three finite numbers')
+            if np.abs(value).max() > largest:
+                raise ImuError(f'the {title} is {value.tolist()}, impossible: beyond {largest:g}')
             object.__setattr__(self, name, value)
         # What drivers send that do not measure it.
         if self.specific_force_m_s2 is not None and not self.specific_force_m_s2.any():
@@ -73,13 +74,71 @@ def imu_sample(msg: Any, received_ns: int) -> ImuSample:
     if msg.angular_velocity_covariance[0] == NOT_MEASURED:
         rate = None
     if force is rate is None:
-        raise ImuError('by its covariances it measures neither force nor angular velocity')
+        raise ImuError(NEITHER)
     stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
     return ImuSample(stamp_ns or received_ns, _xyz(force), _xyz(rate))
 
 
 def _xyz(vector: Any) -> Vector | None:
     return None if vector is None else np.array((vector.x, vector.y, vector.z), float)
+
+
+@dataclass(frozen=True)
+class ImuSamples:
+    """
+    Samples of one IMU as arrays, in its frame and in the order in which they came.
+
+    ``stamps_ns`` (N,), ``forces_m_s2`` and ``rates_rad_s`` (N, 3), of which the rows are NaN that
+    the IMU does not measure.
+    """
+
+    stamps_ns: Stamps
+    forces_m_s2: Vectors
+    rates_rad_s: Vectors
+
+    @staticmethod
+    def of(samples: Iterable[ImuSample]) -> 'ImuSamples':
+        """Return ImuSamples of single ones."""
+        samples = list(samples)
+        return ImuSamples(
+            np.array([one.stamp_ns for one in samples], np.int64),
+            _rows([one.specific_force_m_s2 for one in samples]),
+            _rows([one.angular_velocity_rad_s for one in samples]))
+
+    @staticmethod
+    def usable(stamps_ns: Stamps, forces_m_s2: Vectors, rates_rad_s: Vectors,
+               has_force: Choice, has_rate: Choice) -> tuple['ImuSamples', list[ImuError]]:
+        """
+        Return those of N samples that ImuSample takes, and why it does not take the others.
+
+        They are checked together: one by one a fast IMU would cost a part of a core.
+        """
+        usable = ((~has_force | _is_plausible(forces_m_s2, MAX_FORCE_M_S2))
+                  & (~has_force | (forces_m_s2 != 0).any(axis=1))
+                  & (~has_rate | _is_plausible(rates_rad_s, MAX_RATE_RAD_S))
+                  & (has_force | has_rate))
+        errors = []
+        for i in np.flatnonzero(~usable):
+            try:
+                if not has_force[i] and not has_rate[i]:
+                    raise ImuError(NEITHER)
+                ImuSample(int(stamps_ns[i]), forces_m_s2[i] if has_force[i] else None,
+                          rates_rad_s[i] if has_rate[i] else None)
+            except ImuError as error:
+                errors.append(error)
+        return ImuSamples(
+            stamps_ns[usable], np.where(has_force[:, None], forces_m_s2, np.nan)[usable],
+            np.where(has_rate[:, None], rates_rad_s, np.nan)[usable]), errors
+
+
+def _is_plausible(vectors: Vectors, largest: float) -> Choice:
+    """Tell of which vectors (N, 3) each element may have been measured; NaN never was."""
+    return np.all(np.abs(vectors) <= largest, axis=1)
+
+
+def _rows(vectors: list[Vector | None]) -> Vectors:
+    nothing = np.full(3, np.nan)
+    return np.array([nothing if one is None else one for one in vectors]).reshape(-1, 3)
 
 
 def mount_rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Rotation:
@@ -90,70 +149,3 @@ def mount_rotation(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Rotatio
     at the camera; at zero the IMU's axes are these.
     """
     return R_CAMERA_BODY * Rotation.from_euler('xyz', (roll_rad, pitch_rad, yaw_rad))
-
-
-class ImuHistory:
-    """The last two seconds of an IMU, in the camera's axes."""
-
-    def __init__(self) -> None:
-        # (stamp_ns, specific force)
-        self._forces: deque[tuple[int, Vector]] = deque()
-        # (stamp_ns, angular velocity, R_reckoned_camera: the turns so far)
-        self._turns: deque[tuple[int, Vector, Rotation]] = deque()
-
-    def clear(self) -> None:
-        """Forget everything: the IMU sits otherwise from now on, or its clock was set back."""
-        self._forces.clear()
-        self._turns.clear()
-
-    def add(self, sample: ImuSample, R_camera_imu: Rotation) -> None:
-        """Take in an ImuSample; one that comes late is left out."""
-        stamp_ns = sample.stamp_ns
-        if sample.specific_force_m_s2 is not None and _is_next(self._forces, stamp_ns):
-            self._forces.append((stamp_ns, R_camera_imu.apply(sample.specific_force_m_s2)))
-        if sample.angular_velocity_rad_s is not None and _is_next(self._turns, stamp_ns):
-            self._add_turn(stamp_ns, R_camera_imu.apply(sample.angular_velocity_rad_s))
-
-    def forces(self, after_ns: int, until_ns: int) -> tuple[Stamps, Vectors]:
-        """Return stamps (N,) in (after, until] and specific force (N, 3) in m/s² at each."""
-        chosen = [one for one in self._forces if after_ns < one[0] <= until_ns]
-        return (np.array([stamp_ns for stamp_ns, _ in chosen], np.int64),
-                np.array([force for _, force in chosen]).reshape(-1, 3))
-
-    def gyro_rotation(self, from_ns: int, to_ns: int) -> Rotation | None:
-        """Return the camera's turn ``R_from_to``, or None where the gyro does not cover it."""
-        if not self._turns or not (
-                self._turns[0][0] <= min(from_ns, to_ns)
-                and max(from_ns, to_ns) <= self._turns[-1][0] + MAX_GAP_NS):
-            return None
-        return self._reckoned(from_ns).inv() * self._reckoned(to_ns)
-
-    def _add_turn(self, stamp_ns: int, rate_rad_s: Vector) -> None:
-        if self._turns and stamp_ns - self._turns[-1][0] > MAX_GAP_NS:
-            self._turns.clear()
-        R_reckoned_camera = Rotation.identity()
-        if self._turns:
-            last_ns, last_rad_s, R_reckoned_last = self._turns[-1]
-            R_reckoned_camera = R_reckoned_last * _turn((last_rad_s + rate_rad_s) / 2,
-                                                        stamp_ns - last_ns)
-        self._turns.append((stamp_ns, rate_rad_s, R_reckoned_camera))
-
-    def _reckoned(self, stamp_ns: int) -> Rotation:
-        """Return R_reckoned_camera at a time; beyond the last sample its rate goes on."""
-        i = bisect_right(self._turns, stamp_ns, key=lambda one: one[0]) - 1
-        (before_ns, rate_rad_s, R_reckoned_before) = self._turns[i]
-        next_rad_s = self._turns[min(i + 1, len(self._turns) - 1)][1]
-        return R_reckoned_before * _turn((rate_rad_s + next_rad_s) / 2, stamp_ns - before_ns)
-
-
-def _is_next(samples: deque[Any], stamp_ns: int) -> bool:
-    """Make room for a sample, and tell whether it is not late."""
-    if samples and stamp_ns < samples[-1][0] - NEW_START_NS:
-        samples.clear()
-    while samples and samples[0][0] < stamp_ns - HISTORY_NS:
-        samples.popleft()
-    return not samples or stamp_ns > samples[-1][0]
-
-
-def _turn(rate_rad_s: Vector, elapsed_ns: int) -> Rotation:
-    return Rotation.from_rotvec(rate_rad_s * (elapsed_ns / NS_PER_S))

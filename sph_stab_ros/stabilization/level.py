@@ -20,9 +20,9 @@ from threading import Lock
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.arrays import Stamps, Vector
+from sph_stab_ros.geometry.arrays import Stamps, Vector, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.stabilization.imu import ImuHistory
+from sph_stab_ros.stabilization.imu_history import ImuHistory
 
 UP = np.array((0., -1., 0.))
 FORWARD = np.array((0., 0., 1.))
@@ -41,6 +41,10 @@ MIN_START_S = 0.1
 # The world approaches its level with this time constant, and no faster than that.
 APPROACH_S = 1.
 MAX_RATE_RAD_S = np.deg2rad(10.)
+
+
+# What a force of gravity looks like in g.
+IN_G = (0.7, 1.3)
 
 
 class LevelError(ValueError):
@@ -72,6 +76,23 @@ def level_rotation(up: Vector) -> Rotation:
     R = Rotation.from_rotvec(axis * np.arctan2(sine, up @ UP))
     R_world_heading = heading(R)
     return R if R_world_heading is None else R_world_heading.inv() * R
+
+
+def why_no_force(stamp_ns: int, imu: ImuHistory) -> str:
+    """Return why nothing that an IMU has felt is of use for the picture of this time."""
+    stamps_ns, forces_m_s2 = imu.all_forces()
+    if not len(stamps_ns):
+        return 'none is heard'
+    behind_s = (stamp_ns - int(stamps_ns[-1])) / NS_PER_S
+    if not ((stamp_ns - MAX_AGE_NS < stamps_ns) & (stamps_ns <= stamp_ns)).any():
+        return (f"the IMU's stamps are {abs(behind_s):.1f} s "
+                f"{'behind' if behind_s > 0 else 'ahead of'} the pictures'")
+    size_m_s2 = float(np.median(np.linalg.norm(forces_m_s2, axis=1)))
+    if IN_G[0] < size_m_s2 < IN_G[1]:
+        return f'they are of {size_m_s2:.2f} m/s², as if they were in g'
+    if size_m_s2 < USABLE_M_S2[0]:
+        return f'they are of {size_m_s2:.2f} m/s², as if gravity had been taken out'
+    return f'they are of {size_m_s2:.0f} m/s², beyond what a camera at rest or in flight feels'
 
 
 class Gravity:
@@ -109,9 +130,8 @@ class Gravity:
         if usable.any():
             stamps_ns = stamps_ns[usable]
             R_origin_then = self._orientations(stamps_ns, stamp_ns, R_origin_camera, imu)
-            for then_ns, force in zip(stamps_ns, R_origin_then.apply(forces_m_s2[usable])):
-                self._average(int(then_ns), force, last_ns)
-                last_ns = int(then_ns)
+            self._average(stamps_ns, R_origin_then.apply(forces_m_s2[usable]), last_ns)
+            last_ns = int(stamps_ns[-1])
         self._last_ns = last_ns
         self._last_picture = stamp_ns, R_origin_camera
 
@@ -127,10 +147,16 @@ class Gravity:
         turn_rad = (R_origin_last.inv() * R_origin_camera).as_rotvec()
         return R_origin_last * Rotation.from_rotvec(shares[:, None] * turn_rad)
 
-    def _average(self, stamp_ns: int, force_m_s2: Vector, since_ns: int) -> None:
-        stands_for_s = min(stamp_ns - since_ns, MAX_PERIOD_NS) / NS_PER_S
-        self._averaged_s = min(self._averaged_s + stands_for_s, AVERAGING_S)
-        self._force_m_s2 += stands_for_s / self._averaged_s * (force_m_s2 - self._force_m_s2)
+    def _average(self, stamps_ns: Stamps, forces_m_s2: Vectors, since_ns: int) -> None:
+        """Let forces (N, 3) draw the mean to themselves, one after the other."""
+        stand_for_s = np.diff(stamps_ns, prepend=since_ns).clip(max=MAX_PERIOD_NS) / NS_PER_S
+        averaged_s = np.minimum(self._averaged_s + np.cumsum(stand_for_s), AVERAGING_S)
+        shares = stand_for_s / averaged_s
+        # What is left of the mean before each force, when all have drawn.
+        left = np.cumprod((1 - shares)[::-1])[::-1]
+        weights = shares * np.append(left[1:], 1)
+        self._force_m_s2 = left[0] * self._force_m_s2 + weights @ forces_m_s2
+        self._averaged_s = float(averaged_s[-1])
 
 
 class Leveler:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import NodeConfig, ViewConfig
+from sph_stab_ros.config import frame_in_tf, NodeConfig, ViewConfig
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.images.front_marker import mark_sphere, mark_view
 from sph_stab_ros.recording import messages
@@ -122,8 +122,9 @@ def picture_outputs(stabilized: StabilizedFrame, config: NodeConfig,
 def fits_into_tree(
         frame_id: str, config: NodeConfig, cameras: Sequence[VirtualCamera]) -> bool:
     """Tell whether the images' frame can be the root: it has a name, and none of those below."""
-    return frame_id not in ('', config.stabilized_frame, config.virtual_frame,
-                            *(camera.view.frame_id for camera in cameras))
+    below = (config.stabilized_frame, config.virtual_frame,
+             *(camera.view.frame_id for camera in cameras))
+    return frame_in_tf(frame_id) not in ('', *map(frame_in_tf, below))
 
 
 def rotations_in_tree(stabilized: StabilizedFrame, config: NodeConfig,

@@ -17,15 +17,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
-from sph_stab_ros.geometry.arrays import Covariance, Image
+from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.stabilization.imu import ImuHistory, ImuSample, mount_rotation
-from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError
+from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
+from sph_stab_ros.stabilization.imu_history import ImuHistory
+from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError, why_no_force
 from sph_stab_ros.stabilization.smoothing import Smoother
 from sph_stab_ros.tracking import (
     make_tracker, MakeTracker, TrackedOrientation, Tracker, TrackingStatus, working_width)
@@ -39,7 +40,7 @@ IMU_INBOX_SIZE = 2000
 class StabilizationEvent(Enum):
     """Something about a frame that its user should hear of; the frame was used all the same."""
 
-    RESIZED = 'the image size changed; tracking starts anew from the last orientation'
+    RESIZED = 'the image size changed; tracking starts anew from the last image'
     STAMP_NOT_INCREASING = 'the stamp is not later than the one before'
     GAP = f'no frame for more than {LONG_GAP_S:g} s'
     NO_GRAVITY = f'no usable force from the IMU for more than {LONG_GAP_S:g} s to level by'
@@ -62,6 +63,8 @@ class StabilizedFrame:
     R_world_virtual: Rotation = field(default_factory=Rotation.identity)
     # Of the frame's image; None where it is equirectangular.
     projection: Projection | None = None
+    # What is known of the cause of NO_GRAVITY.
+    why_no_gravity: str = ''
 
     @property
     def stamp_ns(self) -> int:
@@ -119,7 +122,7 @@ class Stabilizer:
                  make_tracker: MakeTracker = make_tracker) -> None:
         self._make_tracker = make_tracker
         # Filled by add_imu, in another thread maybe, and emptied by process.
-        self._imu_inbox: deque[ImuSample] = deque(maxlen=IMU_INBOX_SIZE)
+        self._imu_inbox: deque[tuple[int, Vector, Vector]] = deque(maxlen=IMU_INBOX_SIZE)
         self._imu = ImuHistory()
         self._gravity = Gravity()
         self._leveler = Leveler()
@@ -165,7 +168,12 @@ class Stabilizer:
 
     def add_imu(self, sample: ImuSample) -> None:
         """Take in a sample; may be called from any thread while frames are processed."""
-        self._imu_inbox.append(sample)
+        self.add_imu_samples(ImuSamples.of((sample,)))
+
+    def add_imu_samples(self, samples: ImuSamples) -> None:
+        """Take in samples; may be called from any thread while frames are processed."""
+        self._imu_inbox.extend(zip(
+            samples.stamps_ns.tolist(), samples.forces_m_s2, samples.rates_rad_s))
 
     def forget_imu(self) -> None:
         """Forget what was felt so far, because the clock was set back."""
@@ -187,9 +195,9 @@ class Stabilizer:
         events = tuple(self._events(frame))
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
-            tracker = self._started(frame)
+            tracker = self._started()
         self._take_in_imu()
-        tracked = self._track(tracker, frame)
+        tracked = self._track(tracker, frame, self._projection)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
         self._covariance = self._in_origin(tracked.covariance)
         R_world_origin = self._level(frame)
@@ -201,7 +209,9 @@ class Stabilizer:
         self._last = frame
         return StabilizedFrame(
             frame, R_world_camera, tracked.status, events,
-            covariance, R_world_virtual, self._projection)
+            covariance, R_world_virtual, self._projection,
+            why_no_force(frame.clock_ns, self._imu)
+            if StabilizationEvent.NO_GRAVITY in events else '')
 
     def settle(self) -> None:
         """Do what the last frame did not have to wait for; the next one will do it otherwise."""
@@ -221,16 +231,17 @@ class Stabilizer:
         if self.config.level == IMU and self._gravity.age_s(frame.clock_ns) > LONG_GAP_S:
             yield StabilizationEvent.NO_GRAVITY
 
-    def _started(self, frame: Frame) -> Tracker:
-        """Start a tracker for frames of this size, in the orientation and place reached so far."""
+    def _started(self) -> Tracker:
+        """Start a tracker for frames of this size, at the last frame and its orientation."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
         tracker = self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._gyro_rotation)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
-        if self._last is not None and self._last.size_wh == frame.size_wh:
-            self._track(tracker, self._last)
+        if self._last is not None:
+            # Of another size perhaps: the tracker gets all at its own.
+            self._track(tracker, self._last, projection_of(self._last.size_wh, self.config))
         return tracker
 
     def _in_origin(self, covariance: Covariance | None) -> Covariance | None:
@@ -240,12 +251,14 @@ class Stabilizer:
         return self._start_covariance + rotate_covariance(covariance, self._R_origin_start)
 
     def _take_in_imu(self) -> None:
-        if not self._imu_inbox:
+        rows = [self._imu_inbox.popleft() for _ in range(len(self._imu_inbox))]
+        if not rows:
             return
+        stamps_ns, forces_m_s2, rates_rad_s = map(np.array, zip(*rows))
         imu = self.config.imu
-        R_camera_imu = mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg)))
-        while self._imu_inbox:
-            self._imu.add(self._imu_inbox.popleft(), R_camera_imu)
+        self._imu.add(
+            ImuSamples(stamps_ns, forces_m_s2, rates_rad_s),
+            mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg))))
 
     def _level(self, frame: Frame) -> Rotation:
         """Return R_world_origin."""
@@ -255,9 +268,10 @@ class Stabilizer:
             up = self._gravity.up
         return self._leveler.update(frame.time_ns, self._R_origin_camera, up)
 
-    def _track(self, tracker: Tracker, frame: Frame) -> TrackedOrientation:
+    def _track(
+            self, tracker: Tracker, frame: Frame, projection: Projection) -> TrackedOrientation:
         self._clock_ahead_ns = frame.clock_ns - frame.time_ns
-        grey = self._projection.grey_sphere(frame, self._working_width)
+        grey = projection.grey_sphere(frame, self._working_width)
         return tracker.track(grey, frame.time_ns)
 
     def _gyro_rotation(self, from_ns: int, to_ns: int) -> Rotation | None:

@@ -165,8 +165,9 @@ def test_each_view_has_parameters_of_its_own(tmp_path):
     assert settings.config.view == Settings().config.view
 
 
-def test_the_frames_must_be_told_apart():
-    same = {'view.frame_id': ('-p', 'stabilized_optical')}
+@pytest.mark.parametrize('frame_id', ('stabilized_optical', '/stabilized_optical', '/'))
+def test_the_frames_must_be_told_apart(frame_id):
+    same = {'view.frame_id': ('-p', frame_id)}
     with pytest.raises(ConfigError, match='must be different names'):
         settings_of(same)
     # In whatever order they are said.

@@ -178,6 +178,17 @@ async def answer_to(url, command):
                 await browser.send_str(json.dumps({'type': command}))
 
 
+def test_parameters_that_are_the_stabilizer_s_are_told_of():
+    server = operator('--port', '0', '--ros-args', '-p', 'level:=imu', '-p', 'mask:=x')
+    try:
+        assert server.stdout.readline()
+    finally:
+        server.send_signal(signal.SIGINT)
+        errors = server.communicate(timeout=TIMEOUT_S)[1]
+    assert ("operator: there is no parameter 'level', 'mask' here; "
+            'those of the stabilizer are set at that node\n') in errors
+
+
 def test_the_port_is_taken():
     with socket.socket() as other:
         other.bind(('127.0.0.1', 0))

@@ -26,7 +26,7 @@ from node_harness import DOMAINS  # noqa: E402, I100
 from rclpy.publisher import Publisher  # noqa: E402
 from sensor_msgs.msg import CompressedImage  # noqa: E402
 from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
-from sph_stab_ros.stabilizer import StabilizerNode  # noqa: E402
+from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
 
 CONFIG = NodeConfig(
     view=ViewConfig(yaw_deg=90., pitch_deg=10., hfov_deg=60., width=200),

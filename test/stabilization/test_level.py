@@ -19,7 +19,9 @@ from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.simulation import flights
 from sph_stab_ros.simulation.imu import imu_samples
-from sph_stab_ros.stabilization.imu import ImuError, ImuHistory, ImuSample, mount_rotation
+from sph_stab_ros.stabilization.imu import (
+    ImuError, ImuSample, ImuSamples, mount_rotation, NEITHER)
+from sph_stab_ros.stabilization.imu_history import ImuHistory
 from sph_stab_ros.stabilization.level import (
     Gravity, GRAVITY_M_S2, heading, level_rotation, Leveler, LevelError, UP)
 from sph_stab_ros.stabilization.pipeline import StabilizationEvent, Stabilizer
@@ -48,7 +50,7 @@ def levelled(flight, samples, R_camera_imu=MOUNT, heard_from=0):
         while samples and samples[0].stamp_ns <= stamp_ns:
             sample = samples.pop(0)
             if i >= heard_from:
-                imu.add(sample, R_camera_imu)
+                imu.add(ImuSamples.of((sample,)), R_camera_imu)
         gravity.weigh(stamp_ns, R_origin_camera[i], imu)
         rotations.append(leveler.update(stamp_ns, R_origin_camera[i], gravity.up))
     return Rotation.concatenate(rotations), np.array([tilt_deg(R, up_origin) for R in rotations])
@@ -123,7 +125,7 @@ def test_between_pictures_the_camera_turns_steadily():
     for i in range(200):
         R_level_camera = Rotation.from_rotvec((1.5 * i / 100, 0, 0))
         force = (R_level_camera * MOUNT).inv().apply(GRAVITY_M_S2 * UP)
-        imu.add(ImuSample(i * 10**7, force), MOUNT)
+        imu.add(ImuSamples.of((ImuSample(i * 10**7, force),)), MOUNT)
         if i % 20 == 0:
             gravity.weigh(i * 10**7, R_level_camera, imu)
     np.testing.assert_allclose(gravity.up, GRAVITY_M_S2 * UP, atol=1e-6)
@@ -194,10 +196,36 @@ def test_an_upside_down_camera_is_set_upright():
     ({'specific_force_m_s2': (0, np.nan, 9.8)}, 'specific force is .*nan'),
     ({'specific_force_m_s2': (0, 9.8)}, 'not three'),
     ({'angular_velocity_rad_s': (0, 0, np.inf)}, 'angular velocity is .*inf'),
+    ({'specific_force_m_s2': (0, -1e300, 9.8)}, 'specific force is .*impossible: beyond 2000'),
+    ({'angular_velocity_rad_s': (0, 0, 1e200)}, 'angular velocity is .*impossible: beyond 100'),
 ))
 def test_samples_that_cannot_be_are_refused_with_the_reason(values, reason):
     with pytest.raises(ImuError, match=reason):
         ImuSample(0, **values)
+
+
+def test_many_samples_are_judged_as_single_ones_are():
+    values = np.array((0, 0.1, -9.8, 99, 101, 1999, -2001, 1e300, np.nan, -np.inf))
+    rng = np.random.default_rng(0)
+    forces, rates = rng.choice(values, (2, 2000, 3))
+    forces[::5] = (0, 0, 9.8)
+    rates[::3] = 0
+    has_force, has_rate = rng.random((2, 2000)) < 0.7
+    taken, reasons = [], []
+    for i in range(2000):
+        try:
+            if not has_force[i] and not has_rate[i]:
+                raise ImuError(NEITHER)
+            taken.append(ImuSample(i, forces[i] if has_force[i] else None,
+                                   rates[i] if has_rate[i] else None))
+        except ImuError as error:
+            reasons.append(str(error))
+    samples, errors = ImuSamples.usable(np.arange(2000), forces, rates, has_force, has_rate)
+    assert list(map(str, errors)) == reasons and len({*reasons}) > 5 and len(taken) > 100
+    of_single = ImuSamples.of(taken)
+    np.testing.assert_array_equal(samples.stamps_ns, of_single.stamps_ns)
+    np.testing.assert_array_equal(samples.forces_m_s2, of_single.forces_m_s2)
+    np.testing.assert_array_equal(samples.rates_rad_s, of_single.rates_rad_s)
 
 
 def levelling_stabilizer(**options):
@@ -212,15 +240,24 @@ def picture(i, R=Rotation.identity()):
     return Frame(textured_sphere(256, R), i * PERIOD_NS)
 
 
-@pytest.mark.parametrize('force', (None, (0, 0, 1e-3), (0, 0, 200.)))
-def test_without_usable_forces_the_first_picture_stays_level_and_it_is_told(force):
+@pytest.mark.parametrize('force, late_s, why', (
+    (None, 0, 'none is heard'),
+    ((0, 0, 1e-3), 0, 'they are of 0.00 m/s², as if gravity had been taken out'),
+    ((0, 0.6, 0.8), 0, 'they are of 1.00 m/s², as if they were in g'),
+    ((0, 0, 200.), 0, 'they are of 200 m/s², beyond'),
+    ((0, 0, 9.8), 12.5, "the IMU's stamps are 12.5 s behind the pictures'"),
+    ((0, 0, 9.8), -3600, "the IMU's stamps are 3600.0 s ahead of the pictures'"),
+))
+def test_without_usable_forces_the_first_picture_stays_level_and_it_is_told_why(
+        force, late_s, why):
     stabilizer = levelling_stabilizer()
     events = set()
     for i in range(40):
         if force is not None:
-            stabilizer.add_imu(ImuSample(i * PERIOD_NS, force))
+            stabilizer.add_imu(ImuSample(i * PERIOD_NS - round(late_s * 1e9), force))
         stabilized = stabilizer.process(picture(i))
         events.update(stabilized.events)
+    assert stabilized.why_no_gravity.startswith(why)
     assert stabilized.R_world_camera.magnitude() < 1e-3
     assert events == {StabilizationEvent.NO_GRAVITY}
 
@@ -309,8 +346,11 @@ def test_level_here_is_refused_where_it_makes_no_sense():
 def test_turns_are_those_of_the_flight():
     flight = flights.synthetic(7, frames=45)
     imu = ImuHistory()
-    for sample in imu_samples(flight, MOUNT, rate_hz=400):
-        imu.add(sample, MOUNT)
+    samples = list(imu_samples(flight, MOUNT, rate_hz=400))
+    # However they come together.
+    while samples:
+        batch, samples = samples[:17], samples[17:]
+        imu.add(ImuSamples.of(batch), MOUNT)
     stamps_ns = np.random.default_rng(3).integers(*flight.stamps_ns[[0, -1]], (50, 2))
     for pair_ns in stamps_ns.tolist():
         R_from, R_to = flight.R_mocap_camera((np.array(pair_ns) - flight.stamps_ns[0]) * 1e-9)
@@ -322,8 +362,8 @@ def test_turns_are_those_of_the_flight():
 def test_turns_that_were_not_seen_are_not_made_up():
     imu = ImuHistory()
     assert imu.gyro_rotation(0, 1) is None
-    for stamp_s in (0., 0.01, 0.02, 0.5, 0.51):
-        imu.add(ImuSample(int(stamp_s * 1e9), None, (0, 0, 1.)), MOUNT)
+    imu.add(ImuSamples.of(ImuSample(int(stamp_s * 1e9), None, (0, 0, 1.))
+                          for stamp_s in (0., 0.01, 0.02, 0.5, 0.51)), MOUNT)
     assert imu.gyro_rotation(0, 10**7) is None, 'before a silence'
     assert imu.gyro_rotation(500_000_000, 700_000_000) is None, 'too long after the last'
     turn = imu.gyro_rotation(500_000_000, 550_000_000)

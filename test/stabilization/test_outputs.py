@@ -104,7 +104,8 @@ def test_the_robot_s_tree_keeps_its_parents():
 
 
 @pytest.mark.parametrize('frame_id', (
-    '', 'stabilized_optical', 'virtual_optical', 'view_optical', 'rear_optical'))
+    '', '/', 'stabilized_optical', '/stabilized_optical', 'virtual_optical', 'view_optical',
+    '/view_optical', 'rear_optical'))
 def test_no_frame_becomes_its_own_parent_or_hangs_in_the_air(frame_id):
     frame = replace(STABILIZED.frame, frame_id=frame_id)
     assert orientations(replace(STABILIZED, frame=frame)).keys() == orientations().keys() - {'/tf'}

@@ -149,15 +149,18 @@ def test_stamps_that_do_not_increase_are_noticed_and_the_frame_is_used(estimator
     assert angle_deg(stabilized[3].R_world_camera, truth[3]) < 0.15
 
 
+@pytest.mark.parametrize('widths', ((480, 320), (256, 160), (160, 256)))
 @every_tracker
-def test_a_new_size_starts_tracking_anew_from_the_orientation_reached(estimator):
+def test_a_new_size_costs_no_turn(estimator, widths):
+    """The first frame of the new size is tracked against the last one of the old."""
     truth = turning(6)
-    frames = films(truth[:3]) + films(truth, width=320)[3:]
+    frames = films(truth, width=widths[0])[:3] + films(truth, width=widths[1])[3:]
     stabilized = list(map(stabilizer(estimator).process, frames))
     assert stabilized[3].events == (StabilizationEvent.RESIZED,)
-    assert angle_deg(stabilized[3].R_world_camera, stabilized[2].R_world_camera) == 0
-    moved = stabilized[3].R_world_camera.inv() * stabilized[5].R_world_camera
-    assert angle_deg(moved, truth[3].inv() * truth[5]) < 0.15
+    assert stabilized[3].status is TrackingStatus.OK
+    for one, R_world_camera in zip(stabilized, truth):
+        # The smallest pictures here tell no tenths of a degree; a turn lost would be a whole one.
+        assert angle_deg(one.R_world_camera, R_world_camera) < angle_deg(truth[0], truth[1]) / 2
 
 
 @pytest.mark.parametrize('shape, reason', [

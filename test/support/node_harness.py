@@ -84,7 +84,7 @@ class Peer:
     ``received`` holds all messages of the topics subscribed to, by topic.
     """
 
-    def __init__(self, process, log, domain, topics, compressed, namespace, views):
+    def __init__(self, process, log, domain, topics, compressed, namespace, views, camera):
         self.process = process
         self._log = log
         self.received = defaultdict(list)
@@ -103,12 +103,14 @@ class Peer:
             QuaternionStamped, f'{view}/direction', 10) for view in views}
         self._velocities = {view: self._node.create_publisher(
             Twist, f'{view}/cmd_vel', 10) for view in views}
-        self._images = self._node.create_publisher(
-            CompressedImage if compressed else Image,
-            'image/compressed' if compressed else 'image', 10)
+        if camera:
+            self._images = self._node.create_publisher(
+                CompressedImage if compressed else Image,
+                'image/compressed' if compressed else 'image', 10)
         for topic in topics:
             self._subscribe(topic)
-        self.wait_until(self._images.get_subscription_count)
+        if camera:
+            self.wait_until(self._images.get_subscription_count)
         self.wait_until(self._parameters.services_are_ready)
         self.wait_until(self._reset.service_is_ready)
         self.wait_until(self._level.service_is_ready)
@@ -127,11 +129,15 @@ class Peer:
         msg_type, = (TYPES[end] for end in TYPES if topic.endswith(end))
         self.subscribe(msg_type, topic, self.received[topic].append)
 
-    def subscribe(self, msg_type, topic, callback):
+    def subscribe(self, msg_type, topic, callback, qos=10):
         """Subscribe to a topic of any type, once it is published; return what unsubscribes."""
-        subscription = self._node.create_subscription(msg_type, topic, callback, 10)
+        subscription = self._node.create_subscription(msg_type, topic, callback, qos)
         self.wait_until(lambda: self._node.count_publishers(topic))
         return lambda: self._node.destroy_subscription(subscription)
+
+    def advertise(self, msg_type, topic, qos=10):
+        """Announce a topic of any type; return the publisher."""
+        return self._node.create_publisher(msg_type, topic, qos)
 
     def spin_for(self, seconds):
         """Serve the middleware for so long."""
@@ -256,6 +262,14 @@ class Peer:
                     return values
         return self.wait_until(found)
 
+    def call_in_vain(self, service_type, service, request):
+        """Call a service that may not answer."""
+        client = self._node.create_client(service_type, service)
+        self.wait_until(client.service_is_ready)
+        client.call_async(request)
+        self.spin_for(SETTLING_S)
+        self._node.destroy_client(client)
+
     def _call(self, future):
         self.wait_until(future.done)
         return future.result()
@@ -278,8 +292,8 @@ def leave(node, executor):
 
 @contextmanager
 def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, namespace='',
-               views=('view',), domain=None):
-    """Run the node with ROS arguments; give a Peer, and leave neither behind."""
+               views=('view',), domain=None, camera=True):
+    """Run the node with ROS arguments; give a Peer, with a camera, and leave neither behind."""
     domain = domain or next(DOMAINS)
     log = tmp_path / f'node{namespace}.log'
     if namespace:
@@ -291,7 +305,7 @@ def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, 
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, stdout=log_file, stderr=log_file)
     peer = None
     try:
-        peer = Peer(process, log, domain, topics, compressed, namespace, views)
+        peer = Peer(process, log, domain, topics, compressed, namespace, views, camera)
         yield peer
     finally:
         if process.poll() is None:
