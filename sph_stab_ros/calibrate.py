@@ -13,6 +13,8 @@ The recording should turn about all axes, somewhere with texture all around and 
 than a metre or two.
 """
 
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
@@ -20,14 +22,18 @@ import sys
 
 import numpy as np
 
-from sph_stab_ros.calibration.dual_fisheye import calibrate, CalibrationError, for_size
+from sph_stab_ros.calibration.dual_fisheye import (
+    calibrate, Calibration, CalibrationError, for_size)
 from sph_stab_ros.calibration.file import calibration_text
 from sph_stab_ros.command_line import add_recording, frames_to_read, Parser, run
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, given_parameters, settings_from)
+from sph_stab_ros.config import FisheyeConfig, Settings
+from sph_stab_ros.geometry.arrays import Grey
 from sph_stab_ros.geometry.fisheye import fits
 from sph_stab_ros.geometry.projection import to_grey
-from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.recording import decoded_frames, open_recording, Recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 
 from tqdm import tqdm
@@ -38,15 +44,18 @@ PICTURES = 60
 STEP = 10
 
 
-def spread_images(recording, config, max_frames=None, progress=iter):
+def spread_images(
+        recording: Recording, config: FisheyeConfig, max_frames: int | None = None,
+        progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter) -> list[Grey]:
     """
-    Return grey images (H, W) of one size, at most PICTURES, spread over a recording.
+    Return grey images of one size, at most PICTURES, spread over a recording.
 
     Raises RecordingError where none fits the FisheyeConfig.
     """
     total = frames_to_read(recording, max_frames)
     step = -(-total // PICTURES) if total else STEP
-    greys, sizes = [], set()
+    greys: list[Grey] = []
+    sizes: set[str] = set()
     with closing(decoded_frames(recording)) as frames:
         for number, frame in enumerate(progress(islice(frames, max_frames))):
             if number % step or len(greys) == PICTURES:
@@ -63,7 +72,8 @@ def spread_images(recording, config, max_frames=None, progress=iter):
     return greys
 
 
-def report(recording, greys, calibration):
+def report(
+        recording: Recording, greys: Sequence[Grey], calibration: Calibration) -> Iterator[str]:
     """Yield the lines that tell of a Calibration."""
     yield (f'{recording.name}: {len(calibration.after_rad)} corners seen by both lenses in '
            f'{len(greys)} pictures')
@@ -72,7 +82,7 @@ def report(recording, greys, calibration):
         yield f'disagreement {when}: median {median:.3f} deg, 95 % below {most:.3f} deg'
 
 
-def arguments(argv):
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     """Return the parsed command line and the Settings to start from; exit 2 on a usage error."""
     parser = Parser(prog='calibrate', description=__doc__)
     add_recording(parser, 'REC')
@@ -84,12 +94,12 @@ def arguments(argv):
     return args, settings_from(parser, given_parameters(parser, args))
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args, settings = arguments(argv)
     start = settings.config.fisheye
 
-    def command():
+    def command() -> None:
         recording = open_recording(args.recording, args.image_topic)
         with partial_output(args.out, args.force) as path:
             greys = spread_images(recording, start, args.max_frames, lambda frames: tqdm(

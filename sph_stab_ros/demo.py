@@ -14,13 +14,16 @@ to what they publish and leaves it in a video and a plot. In a terminal the reco
 played over and over until Ctrl-C; elsewhere it is played once, or for DEMO_SECONDS.
 """
 
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from importlib.util import find_spec
 import os
 from pathlib import Path
 import signal
+from subprocess import Popen
 import sys
 from time import monotonic
+from typing import Any
 
 from geometry_msgs.msg import QuaternionStamped
 import numpy as np
@@ -32,14 +35,14 @@ from sensor_msgs.msg import CompressedImage
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.processes import running
 from sph_stab_ros.evaluation import plots
-from sph_stab_ros.evaluation.alignment import align_trajectories
+from sph_stab_ros.evaluation.alignment import align_trajectories, EvaluationError
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
-from sph_stab_ros.evaluation.runs import compare, EvaluationError
+from sph_stab_ros.evaluation.runs import compare
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.codec import image_from_message
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.side_by_side import side_by_side
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.recording.video_writer import VideoWriter
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
@@ -59,8 +62,10 @@ HFOV_RAD = np.deg2rad(90)
 class Listener:
     """Keeps the images that the player sends and the orientations that the node finds."""
 
-    def __init__(self):
-        self.images, self.orientations = {}, {}
+    def __init__(self) -> None:
+        # By stamp in ns.
+        self.images: dict[int, CompressedImage] = {}
+        self.orientations: dict[int, Rotation] = {}
         self.heard_s = monotonic()
         self._node = rclpy.create_node('demo', namespace=NAMESPACE)
         self._subscriptions = [
@@ -69,54 +74,55 @@ class Listener:
             self._node.create_subscription(
                 QuaternionStamped, 'orientation', self._on_orientation, QOS)]
 
-    def close(self):
+    def close(self) -> None:
         """Take in nothing more."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _on_image(self, msg):
+    def _on_image(self, msg: CompressedImage) -> None:
         self.images[stamp_ns(msg.header.stamp)] = msg
 
-    def _on_orientation(self, msg):
+    def _on_orientation(self, msg: QuaternionStamped) -> None:
         self.heard_s = monotonic()
         self.orientations[stamp_ns(msg.header.stamp)] = rotation_from_message(msg)
 
-    def listen_while(self, condition):
+    def listen_while(self, condition: Callable[[], bool]) -> None:
         """Take in messages while a condition holds."""
         while condition():
             rclpy.spin_once(self._node, timeout_sec=0.05)
 
-    def node_is_ready(self):
+    def node_is_ready(self) -> bool:
         """Tell whether somebody else subscribes to the images and publishes orientations."""
         return (self._node.count_subscribers('image/compressed') > 1
                 and self._node.count_publishers('orientation') > 0)
 
-    def frames(self):
+    def frames(self) -> Iterator[StabilizedFrame]:
         """Yield a StabilizedFrame for each orientation, in the order of time."""
         for time_ns in sorted(self.images.keys() & self.orientations.keys()):
             frame = Frame(image_from_message(self.images[time_ns]), time_ns)
             yield StabilizedFrame(frame, self.orientations[time_ns], TrackingStatus.OK)
 
-    def trajectory(self):
+    def trajectory(self) -> Trajectory:
         """Return the Trajectory of the orientations."""
         stamps_ns = sorted(self.orientations)
         return Trajectory(np.array(stamps_ns), Rotation.concatenate(
             [self.orientations[time_ns] for time_ns in stamps_ns]))
 
 
-def run_in_demo(module, *args):
+def run_in_demo(module: str, *args: str) -> AbstractContextManager[Popen[Any]]:
     """Run an executable of the package in the demo's namespace; a context of its Popen."""
     ros = () if '--ros-args' in args else ('--ros-args',)
     return running(module, *args, *ros, '-r', f'__ns:=/{NAMESPACE}')
 
 
-def listen(listener, node, player, seconds, frame_count):
+def listen(listener: Listener, node: Popen[Any], player: Popen[Any], seconds: float,
+           frame_count: float) -> bool:
     """
     Listen until the recording was played once, or for so long, or until Ctrl-C.
 
     Tells whether it was Ctrl-C, which in a terminal reaches the other processes too.
     """
-    def go_on(until_s):
+    def go_on(until_s: float) -> bool:
         return node.poll() is player.poll() is None and monotonic() < until_s
 
     try:
@@ -130,7 +136,7 @@ def listen(listener, node, player, seconds, frame_count):
     return False
 
 
-def demonstrate(path, folder, seconds, forever):
+def demonstrate(path: Path, folder: Path, seconds: float, forever: bool) -> None:
     """
     Play a recording and write ``demo.mp4`` and ``orientation.png`` into a folder.
 
@@ -171,7 +177,8 @@ def demonstrate(path, folder, seconds, forever):
                 player.wait()
 
 
-def write_results(recording, truth, listener, folder):
+def write_results(
+        recording: Recording, truth: Trajectory, listener: Listener, folder: Path) -> None:
     """Write what was heard, and say how exact it is."""
     folder.mkdir(parents=True, exist_ok=True)
     with partial_output(folder / 'demo.mp4', force=True) as partial, VideoWriter(partial) as video:
@@ -194,7 +201,7 @@ def write_results(recording, truth, listener, folder):
           f'{played} frames stabilised live, {exactness}', flush=True)
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     parser = Parser(prog='demo', description=__doc__)
     parser.add_argument('recording', metavar='REC', type=Path, help='a bag with a truth topic')
@@ -207,7 +214,7 @@ def main(argv=None):
 
     forever = sys.stdin.isatty() and 'DEMO_SECONDS' not in os.environ
 
-    def command():
+    def command() -> None:
         # Ctrl-C comes as KeyboardInterrupt.
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         try:

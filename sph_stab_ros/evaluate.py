@@ -8,7 +8,8 @@
 
 """Evaluate estimators against a recording's truth, or against rotations injected into it."""
 
-from argparse import ArgumentTypeError
+from argparse import ArgumentTypeError, Namespace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 import importlib
@@ -17,25 +18,31 @@ import json
 import logging
 from pathlib import Path
 import sys
+from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line.arguments import names_argument, output_argument
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, refuse_bad_mask,
     settings_from, TRACKER_OPTIONS)
-from sph_stab_ros.config import ANCHORED, EQUIRECT, IMU, MIN_WIDTH, NODE_PARAMETERS
+from sph_stab_ros.config import (
+    ANCHORED, EQUIRECT, FLOWS, IMU, METHODS, MIN_WIDTH, StabilizerConfig)
 from sph_stab_ros.evaluation import report
-from sph_stab_ros.evaluation.alignment import EvaluationError
+from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
-from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_injected
+from sph_stab_ros.evaluation.report import Figures
+from sph_stab_ros.evaluation.runs import (
+    Errors, evaluate_against_truth, evaluate_injected, Progress)
 from sph_stab_ros.evaluation.stitched import Stitched
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.geometry.warp import view_rotation
-from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic
 
@@ -44,14 +51,19 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 logger = logging.getLogger(__name__)
 
-ESTIMATORS, FLOWS = (NODE_PARAMETERS[name].choices for name in ('estimator', 'flow'))
+ESTIMATORS = (ANCHORED, *METHODS)
 WITHOUT_FLOW = (ANCHORED, 'pts')
 # Turns of truth and estimate that differ by more do not belong together.
 MAX_RESIDUAL_RATIO = 1 / 3
 MIN_DOUBTED_RAD = np.deg2rad(1)
 
+# By the name of the estimator, or of estimator and flow.
+Configs: TypeAlias = Mapping[str, StabilizerConfig]
+# What to say about the truth; errors and figures by the same names.
+Evaluation: TypeAlias = tuple[Figures, dict[str, Errors], dict[str, Figures]]
 
-def evaluate(args, configs):
+
+def evaluate(args: Namespace, configs: Configs) -> None:
     """Do what the command line says."""
     recording = open_recording(args.recording, args.image_topic)
     spheres = Stitched(recording, next(iter(configs.values())))
@@ -62,7 +74,7 @@ def evaluate(args, configs):
     if args.tum:
         make_folder(args.tum)
 
-    def progress(name, pictures):
+    def progress(name: str, pictures: Iterator[Frame]) -> Iterable[Frame]:
         # Shown on terminals only.
         return tqdm(pictures, name, frames, unit=' frames', disable=None)
 
@@ -75,8 +87,8 @@ def evaluate(args, configs):
         else:
             about, errors, figures = by_injection(args, spheres, configs, frames, progress)
         if args.every:
-            for name, one in errors.items():
-                figures[name]['over_time'] = one.over_time(args.every)
+            for name, estimator_errors in errors.items():
+                figures[name]['over_time'] = estimator_errors.over_time(args.every)
         for line in report.error_lines(figures):
             print(line)
         if args.json:
@@ -88,7 +100,8 @@ def evaluate(args, configs):
         draw(args.plots, spheres, errors)
 
 
-def by_truth(args, recording, configs, progress):
+def by_truth(args: Namespace, recording: Recording, configs: Configs,
+             progress: Progress) -> Evaluation:
     """Return what to say about the alignment, and Errors and figures by estimator."""
     topic = args.truth or find_truth_topic(recording)
     levelled = any(config.level == IMU for config in configs.values())
@@ -105,7 +118,8 @@ def by_truth(args, recording, configs, progress):
     return about, errors, figures
 
 
-def by_injection(args, spheres, configs, frames, progress):
+def by_injection(args: Namespace, spheres: Stitched, configs: Configs, frames: int | None,
+                 progress: Progress) -> Evaluation:
     """Return what to say about the injection, and Errors and figures by estimator."""
     if frames is None or frames < 2:
         raise EvaluationError('--inject needs two frames or more'
@@ -119,7 +133,7 @@ def by_injection(args, spheres, configs, frames, progress):
     return about, errors, figures
 
 
-def warn(name, alignment):
+def warn(name: str, alignment: Alignment) -> None:
     """Say so if truth and estimate do not turn alike."""
     if alignment.residual_rad > max(MAX_RESIDUAL_RATIO * alignment.turn_rad, MIN_DOUBTED_RAD):
         residual_deg, turn_deg = np.rad2deg((alignment.residual_rad, alignment.turn_rad))
@@ -128,11 +142,12 @@ def warn(name, alignment):
             'the wrong topic, clock, mount or convention?', name, residual_deg, turn_deg)
 
 
-def draw(folder, recording, errors):
+def draw(folder: Path, recording: Recording, errors: Mapping[str, Errors]) -> None:
     """Write the figures: of the errors, and of flow on the sphere as the paper shows it."""
     from sph_stab_ros.evaluation import figures, plots
     plots.draw(folder, recording.name, errors)
-    example = figures.find_example(recording, max(len(one.time_s) for one in errors.values()))
+    most_frames = max(len(estimator_errors.time_s) for estimator_errors in errors.values())
+    example = figures.find_example(recording, most_frames)
     if example is None:
         logger.warning('%s: no pictures of enough parallax for the figures of flow',
                        recording.name)
@@ -140,9 +155,10 @@ def draw(folder, recording, errors):
         figures.draw(folder, recording.name, example)
 
 
-def write_trajectories(folder, errors):
+def write_trajectories(folder: Path, errors: Mapping[str, Errors]) -> None:
     """Write what the Errors by estimator compare, one file each, for other tools to compare."""
-    trajectories = {name.replace('/', '_'): one.estimate for name, one in errors.items()}
+    trajectories = {name.replace('/', '_'): estimator_errors.estimate
+                    for name, estimator_errors in errors.items()}
     # The truth, at the frames' times and of the camera, is the same for all.
     trajectories['truth'] = next(iter(errors.values())).truth
     for name, trajectory in trajectories.items():
@@ -150,7 +166,7 @@ def write_trajectories(folder, errors):
             write_tum(path, trajectory)
 
 
-def make_folder(folder):
+def make_folder(folder: Path) -> None:
     """Make the folder of an output before all the work is done."""
     try:
         folder.mkdir(exist_ok=True)
@@ -158,7 +174,7 @@ def make_folder(folder):
         raise RecordingError(f'{folder} cannot be written: {error.strerror}') from error
 
 
-def see_that_figures_can_be_drawn():
+def see_that_figures_can_be_drawn() -> None:
     """Raise RecordingError if they cannot."""
     try:
         importlib.import_module('matplotlib')
@@ -167,7 +183,7 @@ def see_that_figures_can_be_drawn():
             "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
 
 
-def mount_argument(text):
+def mount_argument(text: str) -> Rotation:
     """Return R_body_camera from ``yaw,pitch,roll`` in degrees or a quaternion ``x,y,z,w``."""
     try:
         values = np.array(text.split(','), float)
@@ -180,7 +196,7 @@ def mount_argument(text):
     raise ArgumentTypeError(f"'{text}' is neither yaw,pitch,roll in degrees nor qx,qy,qz,qw")
 
 
-def clock_argument(text):
+def clock_argument(text: str) -> int | None:
     """Return nanoseconds from seconds, None from ``auto``."""
     try:
         return None if text == 'auto' else round(float(text) * NS_PER_S)
@@ -188,26 +204,7 @@ def clock_argument(text):
         raise ArgumentTypeError(f"'{text}' is neither auto nor a number of seconds") from None
 
 
-def names_argument(known):
-    """Return a converter of a comma-separated list of names, each in ``known``."""
-    def convert(text):
-        names = list(dict.fromkeys(text.split(',')))
-        for name in names:
-            if name not in known:
-                raise ArgumentTypeError(f"'{name}' is none of {', '.join(known)}")
-        return names
-    return convert
-
-
-def output_argument(text):
-    """Return the path of an output, whose folder must exist."""
-    path = Path(text)
-    if not path.absolute().parent.is_dir():
-        raise ArgumentTypeError(f"there is no folder '{path.parent}'")
-    return path
-
-
-def arguments(argv):
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
     parser = Parser(prog='evaluate', description=__doc__)
     add_recording(parser, 'REC')
@@ -279,11 +276,11 @@ def arguments(argv):
     return args, configs
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args, configs = arguments(argv)
 
-    def command():
+    def command() -> None:
         try:
             evaluate(args, configs)
         except EvaluationError as error:

@@ -13,18 +13,24 @@ Images go out on ``image``, or ``image/compressed`` if they are compressed in th
 remap them with ``--ros-args -r image:=/camera/image``. Ends with status 0 on SIGINT and SIGTERM.
 """
 
+from argparse import Namespace
 from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import is_dataclass
+from functools import partial
 from heapq import merge
 from pathlib import Path
 import signal
 import sys
 import time
+from typing import Any, TypeAlias
 
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as rclpy_binding
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
 from rclpy.utilities import remove_ros_args
@@ -35,13 +41,12 @@ from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
-from sph_stab_ros.config import NodeConfig
+from sph_stab_ros.config import NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
-from sph_stab_ros.images.picture_time import duration, Stamp
-from sph_stab_ros.images.times import MAX_DELAY_NS, PictureClock
-from sph_stab_ros.recording import open_recording, RecordingError
-from sph_stab_ros.recording.picture_times import PlayingTime
+from sph_stab_ros.images.picture_time import duration
+from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
 from sph_stab_ros.ros import messages as ros_messages
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
@@ -58,6 +63,9 @@ LAST_DELIVERY_S = 2.0
 # Messages hold seconds in 31 bits.
 MAX_TIME_NS = 2**31 * NS_PER_S - 1
 
+# Times in ns and messages, in the order of time.
+TimedMessages: TypeAlias = Iterator[tuple[int, Any]]
+
 
 class Player:
     """
@@ -65,43 +73,46 @@ class Player:
 
     Parameters
     ----------
-    node : rclpy.node.Node
-    recording : Recording
-    topics : iterable of str
+    node, recording
+        Who publishes what.
+    topics
         What to publish beside the images, under the same names.
-    config : NodeConfig
+    config
         Of the node that listens. By its ``image_transport`` images that are not compressed in
         the recording are published as JPEG, of its ``jpeg_quality``.
 
     """
 
-    def __init__(self, node, recording, topics=(), config=NodeConfig()):
+    def __init__(self, node: Node, recording: Recording, topics: Iterable[str] = (),
+                 config: NodeConfig = NodeConfig()) -> None:
         compress = config.image_transport == 'compressed'
         self._node = node
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
-        if recording.image_topic and not (compress and is_raw(recording)):
-            images_type = message_type(recording.topics[recording.image_topic])
-            self._sources = [lambda: recorded_messages(recording, recording.image_topic)]
+        self._sources: list[Callable[[], TimedMessages]] = []
+        topic = recording.image_topic
+        if topic and not (compress and is_raw(recording.topics[topic])):
+            images_type = message_type(recording.topics[topic])
+            self._sources.append(partial(recorded_messages, recording, topic))
         else:
             images_type = CompressedImage if compress else Image
-            self._sources = [
-                lambda: frame_messages(recording, images_type, config.jpeg_quality)]
+            self._sources.append(
+                partial(frame_messages, recording, images_type, config.jpeg_quality))
         self.images = node.create_publisher(
             images_type, 'image' if images_type is Image else 'image/compressed', QOS)
         self._publishers = [self.images]
         for topic in topics:
-            self._sources.append(lambda topic=topic: recorded_messages(recording, topic))
+            self._sources.append(partial(recorded_messages, recording, topic))
             self._publishers.append(node.create_publisher(
                 message_type(recording.topics[topic]), topic, QOS))
 
-    def wait_for_subscriber(self):
+    def wait_for_subscriber(self) -> None:
         """Return when somebody listens to the images."""
         while not self.images.get_subscription_count():
             self._spin_for(0.05)
         self._spin_for(MATCHING_S)
 
-    def play(self, rate=1., loop=False, now=False):
+    def play(self, rate: float = 1., loop: bool = False, now: bool = False) -> None:
         """
         Publish everything at its time, ``rate`` times as fast.
 
@@ -113,7 +124,8 @@ class Player:
         start_ns = self._node.get_clock().now().nanoseconds
         loop_start_ns = 0
         while True:
-            playing, clocks, is_empty = PlayingTime(), {}, True
+            playing, is_empty = PlayingTime(), True
+            clocks = {publisher: HeaderClock() for publisher in self._publishers}
             for time_ns, publisher, msg in self._timeline():
                 is_empty = False
                 stepped_by_ns = playing.advance(time_ns)
@@ -124,9 +136,8 @@ class Player:
                 elapsed_ns = loop_start_ns + playing.elapsed_ns
                 self._spin_for(start_s + elapsed_ns / rate / NS_PER_S - time.monotonic())
                 if now:
-                    clock = clocks.setdefault(publisher, HeaderClock())
-                    restamp(msg, lambda ns: start_ns + round(
-                        (loop_start_ns + clock.elapsed_ns(ns, time_ns, playing)) / rate))
+                    restamp(msg, lambda ns: start_ns + round((loop_start_ns + clocks[
+                        publisher].elapsed_ns(ns, time_ns, playing.elapsed_ns)) / rate))
                 elif loop_start_ns:
                     # A stamp of zero means unknown and stays that.
                     restamp(msg, lambda ns: ns and ns + loop_start_ns)
@@ -137,51 +148,35 @@ class Player:
         for publisher in self._publishers:
             publisher.wait_for_all_acked(Duration(seconds=LAST_DELIVERY_S))
 
-    def _timeline(self):
+    def _timeline(self) -> Iterator[tuple[int, Publisher, Any]]:
         """Yield (time in ns, publisher, message) of all topics in the order of time."""
-        def published_by(publisher, source):
+        def published_by(publisher: Publisher, source: Callable[[], TimedMessages]
+                         ) -> Iterator[tuple[int, Publisher, Any]]:
             return ((time_ns, publisher, msg) for time_ns, msg in source())
         yield from merge(*map(published_by, self._publishers, self._sources),
                          key=lambda item: item[0])
 
-    def _spin_for(self, seconds):
+    def _spin_for(self, seconds: float) -> None:
         """Serve the node for so long; ExternalShutdownException when ROS ends."""
         end_s = time.monotonic() + seconds
         while (left_s := end_s - time.monotonic()) > 0:
             self._executor.spin_once(timeout_sec=left_s)
 
 
-class HeaderClock:
-    """Counts a topic's stamps from the start of the recording, whatever clock they are of."""
-
-    def __init__(self):
-        self._clock = PictureClock()
-        self._ahead_ns = None
-
-    def elapsed_ns(self, stamp_ns, received_ns, playing):
-        """Return the time of the next message, of zero stamp or not, that is played now."""
-        time_ns = self._clock.decide(Stamp(stamp_ns or None, received_ns)).time_ns
-        if self._ahead_ns is None:
-            # Stamps and receipts are of one clock, or else of no known relation.
-            delay_ns = received_ns - (stamp_ns or received_ns)
-            self._ahead_ns = time_ns - playing.elapsed_ns + (
-                delay_ns if abs(delay_ns) <= MAX_DELAY_NS else 0)
-        return time_ns - self._ahead_ns
+def is_raw(images_type: str) -> bool:
+    """Tell whether messages of an images' type hold them uncompressed."""
+    return images_type.endswith('/Image')
 
 
-def is_raw(recording):
-    """Tell whether a bag's images are uncompressed."""
-    return recording.topics[recording.image_topic].endswith('/Image')
-
-
-def recorded_messages(recording, topic):
+def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
     """Yield (time of receipt in ns, rclpy message) of a bag's topic, faulty images included."""
     message = message_type(recording.topics[topic])
     for received_ns, recorded in recording.messages(topic):
         yield received_ns, copy_fields(recorded, message())
 
 
-def frame_messages(recording, images_type, jpeg_quality):
+def frame_messages(recording: Recording, images_type: type[Any],
+                   jpeg_quality: int) -> TimedMessages:
     """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
     for frame in recording.frames():
         msg = (fill_image(Image(), frame.image) if images_type is Image
@@ -191,7 +186,7 @@ def frame_messages(recording, images_type, jpeg_quality):
         yield frame.time_ns, msg
 
 
-def message_type(name):
+def message_type(name: str) -> type[Any]:
     """Return the class of, for example, ``sensor_msgs/msg/Image``."""
     try:
         return ros_messages.message_type(name)
@@ -199,7 +194,7 @@ def message_type(name):
         raise RecordingError(f'{name} is not installed') from None
 
 
-def copy_fields(source, target):
+def copy_fields(source: Any, target: Any) -> Any:
     """Fill a fresh rclpy message from one of the bag reader, and return it."""
     for name in target.get_fields_and_field_types():
         value = getattr(source, name)
@@ -213,18 +208,18 @@ def copy_fields(source, target):
     return target
 
 
-def restamp(msg, new_ns):
+def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:
     """Replace the header's stamp, where there is one, by ``new_ns(stamp in ns)``."""
     if hasattr(msg, 'header'):
         msg.header.stamp = time_message(new_ns(ros_messages.stamp_ns(msg.header.stamp)))
 
 
-def time_message(ns):
-    """Return the message of a time, the next that it can hold."""
+def time_message(ns: int) -> Any:
+    """Return the message of a time, or of the nearest that a message can hold."""
     return Time(nanoseconds=min(max(ns, 0), MAX_TIME_NS)).to_msg()
 
 
-def arguments(argv):
+def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     """Return the parsed command line and the Settings; exit 2 on a usage error."""
     parser = Parser(prog='player', description='Publish a recording on ROS topics.')
     parser.add_argument('recording', metavar='REC', type=Path,
@@ -251,7 +246,7 @@ def arguments(argv):
     return args, settings_from(parser, given_parameters(parser, args))
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['player', *argv]
     try:
@@ -263,7 +258,7 @@ def main(argv=None):
     except (RCLError, UnknownROSArgsError) as error:
         print(f'player: {str(error).splitlines()[0]}', file=sys.stderr)
         return 2
-    node = None
+    node: Node | None = None
     try:
         recording = open_recording(args.recording, args.image_topic)
         for topic in args.topics:

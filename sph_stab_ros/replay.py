@@ -8,6 +8,8 @@
 
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cache
 import logging
@@ -15,14 +17,17 @@ from pathlib import Path
 import re
 import sys
 import time
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
 from sph_stab_ros.command_line.parameters import (
-    add_calibration, add_parameters, add_shorthands, given_parameters, SetParameters,
+    add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
-from sph_stab_ros.config import ANCHORED, ConfigError, IMU, VIEW, VIEW_NAME
+from sph_stab_ros.config import (
+    ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
+from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording
@@ -30,30 +35,34 @@ from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
     picture_outputs)
-from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
-from sph_stab_ros.stabilization.recording_loop import stabilize_recording
+from sph_stab_ros.stabilization.recording_loop import stabilize_recording, Summary
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
 logger = logging.getLogger(__name__)
 
+# Writes a frame down.
+Sink: TypeAlias = Callable[[StabilizedFrame], Any]
 
-def trajectory_sink(path, force, stack):
+
+def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
     """Return a sink that writes ``R_world_camera`` into a TUM file."""
     file = stack.enter_context(open(stack.enter_context(partial_output(path, force)), 'w'))
     return lambda s: file.write(tum_line(s.stamp_ns, s.R_world_camera))
 
 
-def video_sink(path, force, stack, picture):
+def video_sink(path: Path, force: bool, stack: ExitStack,
+               picture: Callable[[StabilizedFrame], Image]) -> Sink:
     """Return a sink that writes ``picture(stabilized)`` into an MP4 file."""
     from sph_stab_ros.recording.video_writer import VideoWriter
     writer = stack.enter_context(VideoWriter(stack.enter_context(partial_output(path, force))))
     return lambda s: writer.write(picture(s), s.frame.time_ns)
 
 
-def bag_sink(path, force, stack, settings):
+def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:
     """Return a sink that writes what the node publishes, but raw images, into a rosbag2 folder."""
     from sph_stab_ros.recording.bag_writer import BagWriter
     writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
@@ -61,10 +70,10 @@ def bag_sink(path, force, stack, settings):
     cameras = [configured_camera(name, view) for name, view in settings.views.items()]
 
     @cache
-    def say_that_tree_is_missing(frame_id):
+    def say_that_tree_is_missing(frame_id: str) -> None:
         logger.warning("no /tf in %s: the pictures have the frame_id '%s'", path, frame_id)
 
-    def write(s):
+    def write(s: StabilizedFrame) -> None:
         if config.publish_tf and not fits_into_tree(s.frame.frame_id, config, cameras):
             say_that_tree_is_missing(s.frame.frame_id)
         for output in (*orientation_outputs(s, config, cameras),
@@ -73,7 +82,7 @@ def bag_sink(path, force, stack, settings):
     return write
 
 
-def output_sink(args, settings, stack):
+def output_sink(args: Namespace, settings: Settings, stack: ExitStack) -> Sink:
     """Return the sink for OUT."""
     if args.out.suffix != '.mp4':
         return bag_sink(args.out, args.force, stack, settings)
@@ -81,14 +90,14 @@ def output_sink(args, settings, stack):
     name = viewed(args.view) if args.view else config.views[0]
     camera = configured_camera(name, settings.views[name])
 
-    def picture(s):
+    def picture(s: StabilizedFrame) -> Image:
         if args.side_by_side:
             return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
         return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
     return video_sink(args.out, args.force, stack, picture)
 
 
-def report(summary, config, elapsed_s):
+def report(summary: Summary, config: StabilizerConfig, elapsed_s: float) -> Iterator[str]:
     """Yield the lines that tell of a replay; the drift of a chain is named."""
     tracker = config.tracker
     counts = ', '.join(f'{n} {status}' for status, n in summary.statuses.items())
@@ -97,6 +106,7 @@ def report(summary, config, elapsed_s):
     for counted in (summary.events, summary.left_out):
         for what, n in counted.items():
             yield f'{n}x {what}'
+    assert summary.R_world_camera is not None
     turned = (f'{np.rad2deg(summary.turned_rad):.0f} deg of turning in all, '
               f'{np.rad2deg(summary.R_world_camera.magnitude()):.1f} deg from the first frame to '
               'the last')
@@ -107,12 +117,12 @@ def report(summary, config, elapsed_s):
                f'{turned}; the errors of all steps add up, so a slow drift is part of it')
 
 
-def viewed(text):
+def viewed(text: str) -> str:
     """Return the name of the view that an argument ``NAME`` or ``YAW,PITCH,ROLL,HFOV`` means."""
     return text if re.fullmatch(VIEW_NAME, text) else VIEW
 
 
-def view_argument(text, flag):
+def view_argument(text: str, flag: str) -> Parameters:
     """Return the Parameters of ``YAW,PITCH,ROLL,HFOV`` in degrees, none of a view's name."""
     if re.fullmatch(VIEW_NAME, text):
         return {}
@@ -125,7 +135,7 @@ def view_argument(text, flag):
                           'view') from None
 
 
-def smoothing_argument(text, flag):
+def smoothing_argument(text: str, flag: str) -> Parameters:
     """Return the Parameters of ``MODE`` or ``MODE:SECONDS``."""
     mode, colon, seconds = text.partition(':')
     try:
@@ -135,7 +145,7 @@ def smoothing_argument(text, flag):
         raise ConfigError(f"'{seconds}' is not a number of seconds") from None
 
 
-def arguments(argv):
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     """Return the parsed command line and the Settings; exit 2 on a usage error."""
     parser = Parser(prog='replay', description=__doc__)
     add_recording(parser, 'IN')
@@ -179,19 +189,19 @@ def arguments(argv):
     return args, settings
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args, settings = arguments(argv)
     config = settings.config
 
-    def command():
+    def command() -> None:
         recording = open_recording(args.recording, args.image_topic)
         imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
                if config.level == IMU else None)
         total = frames_to_read(recording, args.max_frames)
         start_s = time.perf_counter()
         with ExitStack() as stack:
-            sinks = []
+            sinks: list[Sink] = []
             if args.trajectory:
                 sinks.append(trajectory_sink(args.trajectory, args.force, stack))
             if args.out:

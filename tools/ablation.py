@@ -14,17 +14,18 @@ from sph_stab_ros.evaluation.runs import evaluate_against_truth
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS
 from sph_stab_ros.tracking.anchored import (
-    landmark_map, localization, pose_estimation, tracker)
+    correction, landmark_map, landmarks, lens_misalignment, localization, pose_hypotheses, tracker)
 
 VARIANTS = {
     'as it is': (),
-    'no probation: all landmarks have a say': ((localization, 'MATURE_FRAMES', 0),),
+    'no probation: all landmarks have a say': ((landmarks, 'MATURE_FRAMES', 0),),
     'one keyframe adjusted at a time': ((landmark_map, 'ADJUSTED_KEYFRAMES', 1),),
-    'inactive landmarks are not looked for': ((tracker, 'MAX_RETURNING', 0),),
+    'inactive landmarks are not looked for': ((localization, 'MAX_RETURNING', 0),),
     '300 landmarks': ((landmark_map, 'MAX_LANDMARKS', 300),),
-    'no random starts where much moves': ((pose_estimation, 'TRIALS', 0),),
+    'no random starts where much moves': ((pose_hypotheses, 'TRIALS', 0),),
+    'the lenses are taken for one': ((lens_misalignment, 'SIGNIFICANT', np.inf),),
     'always searched coarsely first': ((tracker, 'MAX_FINE_S', -1.),),
-    'corrections at once': ((tracker, 'MAX_CORRECTION_RAD', np.pi),),
+    'corrections at once': ((correction, 'MIN_STEP_RAD', np.pi),),
 }
 
 

@@ -14,11 +14,13 @@ are resized to each width. All calls take turns, so that what disturbs the machi
 alike: ratios within a run say more than milliseconds.
 """
 
-from argparse import ArgumentTypeError
+from argparse import ArgumentTypeError, Namespace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 import json
 from pathlib import Path
 import sys
+from typing import TypeAlias, TypeVar
 
 from sph_stab_ros.benchmark.calls import benchmark_width, BUDGET_S
 from sph_stab_ros.benchmark.growth import growth, MAX_PICTURES
@@ -26,10 +28,11 @@ from sph_stab_ros.benchmark.machine import machine, MAX_WIDTH
 from sph_stab_ros.benchmark.references import is_there, references
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.config import MIN_WIDTH, TrackerConfig
-from sph_stab_ros.evaluation.runs import EvaluationError
+from sph_stab_ros.evaluation.alignment import EvaluationError
+from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.projection import to_grey
-from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, open_recording, Recording, RecordingError
 from sph_stab_ros.recording.output import partial_output
 from sph_stab_ros.tracking import working_width
 
@@ -40,26 +43,32 @@ PARTS = ('times', 'growth', 'references')
 # What the project aims at: milliseconds in all, frames per second with a core to spare, ratio.
 TARGET_MS, TARGET_FPS, TARGET_RATIO = 10, 30, 1.5
 
+# Of each width the figures of each call, by group and name.
+FiguresByWidth: TypeAlias = Mapping[int, Mapping[str, Mapping[str, Figures]]]
+# What is aimed at, the target, what was measured, and whether that is met.
+Target: TypeAlias = tuple[str, str, str, bool]
+Item = TypeVar('Item')
 
-def table(widths):
+
+def table(widths: FiguresByWidth) -> Iterator[str]:
     """Yield the lines of a table of figures by width: wall ms, CPU ms and ratio of each call."""
     some = next(iter(widths.values()))
     yield ' ' * 24 + ''.join(f'{width:>18} px ' for width in widths) + '  ratio to'
     yield ' ' * 24 + '   wall    CPU ratio  ' * len(widths)
     for group, members in some.items():
         yield group
-        for name, one in members.items():
+        for name, call in members.items():
             cells = (figures[group][name] for figures in widths.values())
             yield (f'  {name:<22}' + ''.join(
                 f'{cell["wall_ms"]:7.1f}{cell["cpu_ms"]:7.1f}'
                 + (f'{cell["cpu_ratio"]:7.2f} ' if 'base' in cell else ' ' * 8)
-                for cell in cells) + '  ' + one.get('base', '')).rstrip()
+                for cell in cells) + '  ' + call.get('base', '')).rstrip()
 
 
-def widths_argument(text):
+def widths_argument(text: str) -> list[int]:
     """Return the widths of a comma-separated list, in pixels."""
     try:
-        widths = [int(one) for one in text.split(',')]
+        widths = [int(width) for width in text.split(',')]
     except ValueError:
         raise ArgumentTypeError(f"'{text}' is no list of widths such as 640,1920") from None
     for width in widths:
@@ -69,7 +78,7 @@ def widths_argument(text):
     return list(dict.fromkeys(widths))
 
 
-def targets(widths, cores):
+def targets(widths: FiguresByWidth, cores: int) -> Iterator[Target]:
     """
     Yield what is aimed at, what was measured and whether that is met, of figures by width.
 
@@ -92,32 +101,32 @@ def targets(widths, cores):
                    ratio <= TARGET_RATIO)
 
 
-def targets_table(rows):
+def targets_table(rows: Iterable[Target]) -> Iterator[str]:
     """Yield the lines of a table of what is aimed at."""
     for what, target, measured, met in rows:
         yield f'  {what:<44}{target:<28}{measured:<40}{"met" if met else "MISSED"}'
 
 
-def growth_table(figures):
+def growth_table(figures: Figures) -> Iterator[str]:
     """Yield the lines of a table of what growth took."""
     yield f'anchored over {figures["frames"]} frames, {figures["width"]} px wide, there and back'
     yield f'  {"":<14}{"median ms":>12}{"memory MB":>12}{"keyframes":>12}{"landmarks":>12}'
     for name in ('first_tenth', 'last_tenth'):
-        one = figures[name]
-        yield (f'  {name.replace("_", " "):<14}{one["median_ms"]:>12.1f}{one["memory_mb"]:>12.1f}'
-               f'{one["keyframes"]:>12}{one["landmarks"]:>12}')
+        tenth = figures[name]
+        yield (f'  {name.replace("_", " "):<14}{tenth["median_ms"]:>12.1f}'
+               f'{tenth["memory_mb"]:>12.1f}{tenth["keyframes"]:>12}{tenth["landmarks"]:>12}')
 
 
-def references_table(figures):
+def references_table(figures: Mapping[str, Figures]) -> Iterator[str]:
     """Yield the lines of a table of errors against the truth, beside others' methods."""
     yield f'  {"":<22}{"frames":>8}{"lost":>6}{"geodesic mean":>16}{"max":>8}{"ms/frame":>10}'
-    for name, one in figures.items():
-        error = one['geodesic_deg']
-        yield (f'  {name:<22}{one["frames"]:>8}{one["lost_frames"]:>6}'
-               f'{error["mean"]:>15.3f}°{error["max"]:>7.2f}°{one["ms_per_frame"]:>10.1f}')
+    for name, method in figures.items():
+        error = method['geodesic_deg']
+        yield (f'  {name:<22}{method["frames"]:>8}{method["lost_frames"]:>6}'
+               f'{error["mean"]:>15.3f}°{error["max"]:>7.2f}°{method["ms_per_frame"]:>10.1f}')
 
 
-def parts_argument(text):
+def parts_argument(text: str) -> list[str]:
     """Return the parts of a comma-separated list."""
     parts = text.split(',')
     for part in parts:
@@ -126,7 +135,7 @@ def parts_argument(text):
     return parts
 
 
-def arguments(argv):
+def arguments(argv: Sequence[str] | None) -> Namespace:
     """Return the parsed command line; exit 2 on a usage error."""
     parser = Parser(prog='benchmark', description=__doc__)
     parser.add_argument('recording', metavar='REC', type=Path, nargs='?',
@@ -155,12 +164,13 @@ def arguments(argv):
     return args
 
 
-def bar(name, iterable, total, unit=' frames'):
+def bar(name: str, iterable: Iterable[Item], total: int | None,
+        unit: str = ' frames') -> Iterable[Item]:
     """Return the iterable with a progress bar where there is a terminal."""
     return tqdm(iterable, name, total, unit=unit, disable=None)
 
 
-def times(args, recording):
+def times(args: Namespace, recording: Recording) -> Figures:
     """Return the figures by width, and print their table."""
     images = [frame.image for frame in islice(decoded_frames(recording), args.repeats + 2)]
     if len(images) < 2 or images[0].ndim < 3:
@@ -183,7 +193,7 @@ def times(args, recording):
     return {'recorded_width': images[0].shape[1], 'widths': widths}
 
 
-def growth_part(args, recording):
+def growth_part(args: Namespace, recording: Recording) -> Figures:
     """Return the figures of growth, and print their table."""
     spheres = []
     for frame in islice(decoded_frames(recording), MAX_PICTURES):
@@ -197,7 +207,7 @@ def growth_part(args, recording):
     return {'growth': figures}
 
 
-def references_part(args, recording):
+def references_part(args: Namespace, recording: Recording) -> Figures:
     """Return the figures of others' methods, and print their table; none where there is none."""
     missing = [module for module in ('poselib', 'pycolmap') if not is_there(module)]
     figures = {}
@@ -214,7 +224,7 @@ def references_part(args, recording):
     return {'references': figures}
 
 
-def benchmark(args):
+def benchmark(args: Namespace) -> None:
     """Do what the command line says."""
     recording = open_recording(args.recording)
     figures = {'machine': machine(), 'recording': recording.name, 'repeats': args.repeats}
@@ -232,7 +242,7 @@ def benchmark(args):
             path.write_text(json.dumps(figures, indent=2) + '\n')
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args = arguments(argv)
     return run('benchmark', lambda: benchmark(args))

@@ -20,6 +20,7 @@ import numpy as np
 
 from sph_stab_ros.benchmark.references import FIVE_POINT, FivePointChain, is_there
 from sph_stab_ros.config import ANCHORED, StabilizerConfig, TrackerConfig
+from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.arrays import Grey, Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.equirect import bearing_grid
@@ -64,7 +65,6 @@ class Input:
 # What is timed, and with it the name of the call that it is compared with.
 Call: TypeAlias = Callable[[Input], Any]
 ComparedCall: TypeAlias = tuple[str, Call]
-Figures: TypeAlias = dict[str, Any]
 Progress: TypeAlias = Callable[[Iterable[Input]], Iterable[Input]]
 
 
@@ -92,10 +92,12 @@ def bare_calls(width: int) -> dict[str, Call]:
             bearings @ R.as_matrix().T, -1, 0).astype(np.float32)), cv2.CV_16SC2)
         for bearings, R in ((bearing_grid(width), R_TURNED), (rays, R_VIEW)))
     return {
-        'copy': lambda one: one.frame.image.copy(),
-        'cv2 flow dis': lambda one: dis(one.previous_grey, one.grey),
-        'cv2 remap sphere': lambda one: cv2.remap(one.frame.image, *sphere_map, cv2.INTER_LINEAR),
-        'cv2 remap view': lambda one: cv2.remap(one.frame.image, *view_map, cv2.INTER_LINEAR),
+        'copy': lambda given: given.frame.image.copy(),
+        'cv2 flow dis': lambda given: dis(given.previous_grey, given.grey),
+        'cv2 remap sphere': lambda given: cv2.remap(
+            given.frame.image, *sphere_map, cv2.INTER_LINEAR),
+        'cv2 remap view': lambda given: cv2.remap(
+            given.frame.image, *view_map, cv2.INTER_LINEAR),
     }
 
 
@@ -116,28 +118,31 @@ def stage_calls(first: Input, width: int) -> dict[str, ComparedCall]:
         raise RecordingError('its first two pictures show too little to estimate a rotation from')
     jpeg = encode_jpeg(first.frame.image)
     calls: dict[str, ComparedCall] = {
-        'decode JPEG': ('copy', lambda one: image_from_compressed(jpeg)),
-        'grey, resize': ('copy', lambda one: to_grey(one.frame.image, working_px)),
+        'decode JPEG': ('copy', lambda given: image_from_compressed(jpeg)),
+        'grey, resize': ('copy', lambda given: to_grey(given.frame.image, working_px)),
         'flow farneback': (
-            'cv2 flow dis', lambda one: spherical_flow(one.previous_grey, one.grey, 'farneback')),
+            'cv2 flow dis',
+            lambda given: spherical_flow(given.previous_grey, given.grey, 'farneback')),
         'flow dis': (
-            'cv2 flow dis', lambda one: spherical_flow(one.previous_grey, one.grey, 'dis')),
-        'features A-KAZE': ('cv2 flow dis', lambda one: features.detect(one.grey)),
-        'fit essential': ('copy', lambda one: fit_essential(matches)),
-        'fit moment': ('copy', lambda one: fit_moment(pairs)),
-        'fit epipolar': ('copy', lambda one: fit_epipolar(pairs, start)),
+            'cv2 flow dis', lambda given: spherical_flow(given.previous_grey, given.grey, 'dis')),
+        'features A-KAZE': ('cv2 flow dis', lambda given: features.detect(given.grey)),
+        'fit essential': ('copy', lambda given: fit_essential(matches)),
+        'fit moment': ('copy', lambda given: fit_moment(pairs)),
+        'fit epipolar': ('copy', lambda given: fit_epipolar(pairs, start)),
         'track anchored': (
-            'cv2 flow dis', lambda one: anchored.track(one.working_grey, one.frame.stamp_ns)),
+            'cv2 flow dis',
+            lambda given: anchored.track(given.working_grey, given.frame.stamp_ns)),
         'warp sphere': (
-            'cv2 remap sphere', lambda one: rotate_equirect(one.frame.image, R_TURNED)),
+            'cv2 remap sphere', lambda given: rotate_equirect(given.frame.image, R_TURNED)),
         'warp view': (
             'cv2 remap view',
-            lambda one: perspective_view(one.frame.image, R_VIEW, VIEW_HFOV_RAD, VIEW_SIZE_WH)),
-        'encode JPEG': ('copy', lambda one: encode_jpeg(one.frame.image)),
+            lambda given: perspective_view(
+                given.frame.image, R_VIEW, VIEW_HFOV_RAD, VIEW_SIZE_WH)),
+        'encode JPEG': ('copy', lambda given: encode_jpeg(given.frame.image)),
     }
     try:
         from sensor_msgs.msg import Image
-        calls['fill message'] = ('copy', lambda one: fill_image(Image(), one.frame.image))
+        calls['fill message'] = ('copy', lambda given: fill_image(Image(), given.frame.image))
     except ImportError:
         pass
     return calls
@@ -154,14 +159,14 @@ def pipeline_calls() -> dict[str, ComparedCall]:
                 partial(stabilized, stabilizer, bool(pictures)))
     if is_there('poselib'):
         five_point = FivePointChain()
-        calls[FIVE_POINT] = (ANCHORED, lambda one: five_point.track(
-            to_grey(one.frame.image, FRAME_TO_FRAME_WIDTH)))
+        calls[FIVE_POINT] = (ANCHORED, lambda given: five_point.track(
+            to_grey(given.frame.image, FRAME_TO_FRAME_WIDTH)))
     return calls
 
 
-def stabilized(stabilizer: Stabilizer, pictures: bool, one: Input) -> Any:
+def stabilized(stabilizer: Stabilizer, pictures: bool, given: Input) -> Any:
     """Return what a user gets: the orientation and, with ``pictures``, the sphere and a view."""
-    found = stabilizer.process(one.frame)
+    found = stabilizer.process(given.frame)
     if not pictures:
         return found.R_world_camera
     return (found.R_world_camera, found.sphere(),
@@ -178,13 +183,13 @@ def medians(calls: Mapping[str, Call], rounds: Iterable[Input],
     """
     samples: dict[str, list[tuple[float, float]]] = {name: [] for name in calls}
     spent_s = dict.fromkeys(calls, 0.)
-    for one in progress(rounds):
+    for given in progress(rounds):
         for name, call in calls.items():
             if spent_s[name] > BUDGET_S:
                 continue
             wall_s, cpu_s = perf_counter(), process_time()
             # Kept until both clocks are read: giving back the memory is the caller's business.
-            result = call(one)
+            result = call(given)
             samples[name].append((perf_counter() - wall_s, process_time() - cpu_s))
             del result
             spent_s[name] += samples[name][-1][0]

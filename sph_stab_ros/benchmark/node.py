@@ -14,6 +14,8 @@ what is measured, and no camera does it either. Latency is from the time at whic
 due, its stamp, to the receipt of what became of it. The first second is warming up.
 """
 
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -23,11 +25,13 @@ import os
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import QuaternionStamped
 import numpy as np
 import rclpy
+from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data, QoSProfile
 from sph_stab_ros.benchmark.machine import machine, MAX_WIDTH
 from sph_stab_ros.benchmark.node_scenario import MemoryRecording, Scenario
@@ -35,6 +39,7 @@ from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.config import MIN_WIDTH
+from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.player import Player
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.output import partial_output
@@ -51,14 +56,14 @@ PERCENTILES = (50, 95, 99)
 class Heard:
     """What a subscriber received: time of receipt in ns by stamp; CPU in percent by process."""
 
-    orientations: dict = field(default_factory=dict)
-    images: dict = field(default_factory=dict)
-    diagnostics: dict = field(default_factory=dict)
-    cpu_percent: dict = field(default_factory=dict)
+    orientations: dict[int, int] = field(default_factory=dict)
+    images: dict[int, int] = field(default_factory=dict)
+    diagnostics: dict[str, str] = field(default_factory=dict)
+    cpu_percent: dict[str, float] = field(default_factory=dict)
 
 
 @contextmanager
-def ros_node(name):
+def ros_node(name: str) -> Iterator[Node]:
     """Give a rclpy node in the benchmark's namespace."""
     set_up_process()
     rclpy.init(args=[])
@@ -68,7 +73,7 @@ def ros_node(name):
         rclpy.try_shutdown()
 
 
-def play(scenario):
+def play(scenario: Scenario) -> tuple[int, float]:
     """Send the pictures once all are there; return the first one's time in ns and CPU percent."""
     recording = MemoryRecording(scenario)
     with ros_node('player') as node:
@@ -86,19 +91,19 @@ def play(scenario):
     return recording.start_ns, percent
 
 
-def listen(scenario, node_pid):
+def listen(scenario: Scenario, node_pid: int) -> Heard:
     """Return what is Heard until it is silent."""
     heard = Heard()
     # Time and CPU seconds of the node and of this process, at each message.
-    used_s = []
+    used_s: list[tuple[float, float, float]] = []
 
-    def takes_down(received_ns):
-        def take_down(msg):
+    def takes_down(received_ns: dict[int, int]) -> Callable[[Any], None]:
+        def take_down(msg: Any) -> None:
             received_ns[stamp_ns(msg.header.stamp)] = time.time_ns()
             used_s.append((time.monotonic(), cpu_s(node_pid), time.process_time()))
         return take_down
 
-    def on_diagnostics(msg):
+    def on_diagnostics(msg: DiagnosticArray) -> None:
         for status in msg.status:
             if status.name.startswith(f'/{NAMESPACE}/'):
                 heard.diagnostics = {pair.key: pair.value for pair in status.values}
@@ -121,7 +126,7 @@ def listen(scenario, node_pid):
     return heard
 
 
-def measure(scenario):
+def measure(scenario: Scenario) -> Figures:
     """Return the figures of a scenario."""
     # All processes started from here inherit it.
     os.environ.pop(PROFILE_VARIABLE, None)
@@ -130,20 +135,20 @@ def measure(scenario):
     pool = ProcessPoolExecutor(2, multiprocessing.get_context('spawn'))
     with pool, running('stabilizer', '--ros-args', '-r', f'__ns:=/{NAMESPACE}',
                        '-p', f'image_transport:={scenario.transport}') as node:
-        heard = pool.submit(listen, scenario, node.pid)
-        played = pool.submit(play, scenario)
-        start_ns, player_percent = played.result()
-        heard = heard.result()
+        hearing = pool.submit(listen, scenario, node.pid)
+        playing = pool.submit(play, scenario)
+        start_ns, player_percent = playing.result()
+        heard = hearing.result()
         if node.poll() is not None:
             raise RecordingError(f'{scenario.name}: the node has ended with {node.returncode}')
     heard.cpu_percent['player'] = player_percent
     return figures(scenario.stamps_ns(start_ns)[scenario.warm_up_frames:], heard)
 
 
-def figures(stamps_ns, heard):
+def figures(stamps_ns: Sequence[int], heard: Heard) -> Figures:
     """Return what became of the pictures with these stamps."""
     orientation_ms, image_ms = (
-        [(received_ns[one] - one) / 1e6 for one in stamps_ns if one in received_ns]
+        [(received_ns[due_ns] - due_ns) / 1e6 for due_ns in stamps_ns if due_ns in received_ns]
         for received_ns in (heard.orientations, heard.images))
     return {'frames': len(stamps_ns), 'orientations': len(orientation_ms),
             'images': len(image_ms), 'latency_ms': percentiles(image_ms),
@@ -152,12 +157,12 @@ def figures(stamps_ns, heard):
             'diagnostics': heard.diagnostics}
 
 
-def percentiles(values):
+def percentiles(values: Sequence[float]) -> dict[str, float]:
     """Return the PERCENTILES of some values by name, {} of none."""
     return {f'p{q}': float(np.percentile(values, q)) for q in PERCENTILES if values}
 
 
-def scenarios(args):
+def scenarios(args: Namespace) -> list[Scenario]:
     """Return the scenarios to measure, the one of the headline first."""
     profiles = [str(args.profile.resolve()), ''] if args.profile else ['']
     return [Scenario(args.recording, args.width, args.rate, args.frames, args.output, transport,
@@ -165,19 +170,20 @@ def scenarios(args):
             for transport in args.transports.split(',') for profile in profiles]
 
 
-def table(results):
+def table(results: Mapping[str, Figures]) -> Iterator[str]:
     """Yield the lines of a table of figures by scenario."""
     yield (' ' * 22 + 'orientations   images   latency ms p50   p95   p99'
            '   CPU % player  node  subscriber   drops')
-    for name, one in results.items():
-        p50, p95, p99 = (one['latency_ms'].get(f'p{q}', np.nan) for q in PERCENTILES)
-        cpu = [one['cpu_percent'].get(who, np.nan) for who in ('player', 'node', 'subscriber')]
-        yield (f'{name:<22}{one["orientations"]:8}/{one["frames"]}{one["images"]:5}/'
-               f'{one["frames"]}{p50:17.0f}{p95:6.0f}{p99:6.0f}{cpu[0]:15.0f}{cpu[1]:6.0f}'
-               f'{cpu[2]:12.0f}{one["drops"]:8}')
+    for name, result in results.items():
+        p50, p95, p99 = (result['latency_ms'].get(f'p{q}', np.nan) for q in PERCENTILES)
+        cpu = [result['cpu_percent'].get(who, np.nan) for who in ('player', 'node', 'subscriber')]
+        frames = result['frames']
+        yield (f'{name:<22}{result["orientations"]:8}/{frames}{result["images"]:5}/'
+               f'{frames}{p50:17.0f}{p95:6.0f}{p99:6.0f}{cpu[0]:15.0f}{cpu[1]:6.0f}'
+               f'{cpu[2]:12.0f}{result["drops"]:8}')
 
 
-def arguments(argv):
+def arguments(argv: Sequence[str] | None) -> Namespace:
     """Return the parsed command line; exit 2 on a usage error."""
     parser = Parser(prog='benchmark_ros', description=__doc__)
     parser.add_argument('recording', metavar='REC', type=Path, nargs='?',
@@ -210,7 +216,7 @@ def arguments(argv):
     return args
 
 
-def benchmark(args):
+def benchmark(args: Namespace) -> None:
     """Do what the command line says."""
     about = {'machine': machine(), 'recording': str(args.recording), 'width': args.width,
              'rate_hz': args.rate, 'output': args.output}
@@ -229,7 +235,7 @@ def benchmark(args):
                             + '\n')
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args = arguments(argv)
     return run('benchmark_ros', lambda: benchmark(args))

@@ -8,15 +8,19 @@
 
 """What the benchmark of the node sends: pictures that are ready, due at known times."""
 
+from collections import Counter
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from itertools import chain, cycle, islice
 from pathlib import Path
 import time
+from typing import Any
 
 import cv2
 from sensor_msgs.msg import CompressedImage, Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
+from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 
 # Held in memory, 330 MB of raw pictures at 1920 columns, and played there and back.
@@ -37,30 +41,30 @@ class Scenario:
     profile: str
 
     @property
-    def name(self):
+    def name(self) -> str:
         """Tell it from others."""
         return f'{self.transport}, {"profile" if self.profile else "defaults"}'
 
     @property
-    def warm_up_frames(self):
+    def warm_up_frames(self) -> int:
         """How many pictures are sent before those that count."""
         return round(WARM_UP_S * self.rate_hz)
 
     @property
-    def compressed(self):
+    def compressed(self) -> bool:
         """Whether pictures travel as JPEG."""
         return self.transport == 'compressed'
 
     @property
-    def image_type(self):
+    def image_type(self) -> type[Any]:
         """Return the type of the messages that pictures travel in."""
         return CompressedImage if self.compressed else Image
 
-    def topic(self, name):
+    def topic(self, name: str) -> str:
         """Return where the pictures of ``name`` are."""
         return f'{name}/compressed' if self.compressed else name
 
-    def stamps_ns(self, start_ns):
+    def stamps_ns(self, start_ns: int) -> list[int]:
         """Return the stamps of all pictures, in ns."""
         count = self.warm_up_frames + self.frames
         return [start_ns + round(n / self.rate_hz * NS_PER_S) for n in range(count)]
@@ -69,11 +73,13 @@ class Scenario:
 class MemoryRecording:
     """A Recording whose messages are ready, and stamped from the first one's time on."""
 
-    image_topic = 'image'
-
-    def __init__(self, scenario):
+    def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self.topics = {self.image_topic: f'sensor_msgs/msg/{scenario.image_type.__name__}'}
+        self.name = scenario.recording.name
+        self.image_topic: str | None = 'image'
+        self.topics = {'image': f'sensor_msgs/msg/{scenario.image_type.__name__}'}
+        self.frame_count: int | None = scenario.warm_up_frames + scenario.frames
+        self.skipped: Counter[str] = Counter()
         fill = fill_compressed if scenario.compressed else fill_image
         size = scenario.width, scenario.width // 2
         frames = decoded_frames(open_recording(scenario.recording))
@@ -82,9 +88,14 @@ class MemoryRecording:
         self._messages = [fill(scenario.image_type(), image) for image in images]
         if not self._messages:
             raise RecordingError(f'{scenario.recording} has no pictures')
-        self.start_ns = None
+        # Of the first picture, once it is sent.
+        self.start_ns = 0
 
-    def messages(self, topic):
+    def frames(self) -> Generator[Frame, None, None]:
+        """Raise RecordingError: the pictures are in messages already."""
+        raise RecordingError(f'{self.name} is sent as it is in memory')
+
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (stamp in ns, message); the first is due now."""
         self.start_ns = time.time_ns()
         there_and_back = cycle(chain(self._messages, self._messages[-2:0:-1]))

@@ -123,19 +123,19 @@ def _refined(pairs: BearingPairs, R_current_previous: Rotation, t_current: Vecto
     import poselib
 
     def pose(R: Matrix, t: Vector) -> Any:
-        one = poselib.CameraPose()
-        one.R, one.t = R, t
-        return one
+        made = poselib.CameraPose()
+        made.R, made.t = R, t
+        return made
 
     (face, x), (face_current, x_current) = map(
         _on_faces, (pairs.previous, pairs.current))
     matches = []
     for both in np.unique(np.column_stack((face, face_current)), axis=0):
         members = (face == both[0]) & (face_current == both[1])
-        one = poselib.PairwiseMatches()
-        one.cam_id1, one.cam_id2 = both.tolist()
-        one.x1, one.x2 = x[members], x_current[members]
-        matches.append(one)
+        matched = poselib.PairwiseMatches()
+        matched.cam_id1, matched.cam_id2 = both.tolist()
+        matched.x1, matched.x2 = x[members], x_current[members]
+        matches.append(matched)
     faces = [pose(R_face_camera, np.zeros(3)) for R_face_camera in FACES]
     cameras = [FACE] * len(FACES)
     refined, _ = poselib.refine_generalized_relative_pose(
@@ -179,7 +179,7 @@ def structure_from_motion(images: Iterable[Image]) -> tuple[Indices, Rotation]:
                 extract_colors=False, multiple_models=False, random_seed=0))
         if not models:
             raise RecordingError('COLMAP finds no structure in its pictures')
-        model = max(models.values(), key=lambda one: one.num_reg_images())
+        model = max(models.values(), key=lambda model: model.num_reg_images())
         placed = sorted((int(Path(image.name).stem), image.cam_from_world().rotation.quat)
                         for image in model.images.values() if image.has_pose)
     numbers, quaternions = zip(*placed)
@@ -223,6 +223,6 @@ def references(recording: Recording, progress: Callable[[str, Any], Iterable[Any
             recording, {ANCHORED: configs[ANCHORED]}, truth, alignment.R_body_camera,
             max_frames=STRUCTURE_FRAMES, progress=progress)
         figures[f'{ANCHORED}, {len(some)} frames'] = short[ANCHORED]
-    return {name: {key: one[key] for key in (
+    return {name: {key: method[key] for key in (
         'frames', 'lost_frames', 'geodesic_deg', 'ms_per_frame')}
-        for name, one in figures.items()}
+        for name, method in figures.items()}

@@ -18,6 +18,8 @@ its peers. A straight line is fitted through it from the second minute on; it mu
 than MAX_GROWTH of where it starts. Runs of less than five minutes do not judge memory.
 """
 
+from argparse import Namespace
+from collections.abc import Sequence
 from itertools import cycle
 import json
 from pathlib import Path
@@ -33,6 +35,7 @@ from sensor_msgs.msg import Imu
 from sph_stab_ros.benchmark.soak_visitors import Comings, Participant
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.processes import memory_mb, running
+from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.output import partial_output
@@ -71,10 +74,11 @@ RESET_PERIOD_S = 45
 class Soak:
     """What is done to the node, second by second, and what is seen of it."""
 
-    def __init__(self):
-        self.failures = []
+    def __init__(self) -> None:
+        self.failures: list[str] = []
         # Stamp in s and count of frames of each heartbeat; memory_mb of each second.
-        self.beats, self.memory = [], []
+        self.beats: list[tuple[float, int]] = []
+        self.memory: list[dict[str, float]] = []
         self.host = Participant('host', NAMESPACE)
         self._comings = Comings(self.host)
         self._changes = cycle(CHANGES)
@@ -84,13 +88,13 @@ class Soak:
         self._reset = node.create_client(Trigger, 'stabilizer/reset')
         self._imu = node.create_publisher(Imu, 'imu', 10)
 
-    def _on_beat(self, msg):
+    def _on_beat(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             if status.name.startswith(f'/{NAMESPACE}/'):
                 values = {pair.key: pair.value for pair in status.values}
                 self.beats.append((stamp_ns(msg.header.stamp) / NS_PER_S, int(values['frames'])))
 
-    def wait_for_frames(self):
+    def wait_for_frames(self) -> None:
         """Return when the node is there and images flow; RecordingError if that never happens."""
         end_s = monotonic() + STARTUP_S
         while not (self.beats and self.beats[-1][1] and self._parameters.services_are_ready()):
@@ -99,7 +103,7 @@ class Soak:
             self.host.serve(0.1)
         self.beats = self.beats[-1:]
 
-    def second(self, number):
+    def second(self, number: int) -> None:
         """Change a parameter, and let subscribers come and go."""
         end_s = monotonic() + 1
         name, value, good = next(self._changes)
@@ -117,20 +121,20 @@ class Soak:
             self.failures.append(f"second {number}: {name} was {'refused' if good else 'set to'} "
                                  f'{value!r}')
 
-    def _gravity(self):
+    def _gravity(self) -> Imu:
         """Return what an accelerometer without a gyro says at rest."""
         msg = Imu(header=Header(stamp=self.host.node.get_clock().now().to_msg()))
         msg.linear_acceleration.z = GRAVITY_M_S2
         msg.angular_velocity_covariance[0] = NOT_MEASURED
         return msg
 
-    def close(self):
+    def close(self) -> None:
         """Leave the node alone."""
         self._comings.close()
         self.host.leave()
 
 
-def soak(recording, seconds):
+def soak(recording: Path, seconds: int) -> tuple[Soak, int | None, int | None]:
     """Return the Soak of so many seconds, and the exit statuses of node and player."""
     transport = '--ros-args', '-p', 'image_transport:=compressed', '-r', f'__ns:=/{NAMESPACE}'
     with running('stabilizer', *transport) as node, \
@@ -151,13 +155,13 @@ def soak(recording, seconds):
     return seen, node.returncode, player.returncode
 
 
-def fitted_line(memory_mb):
+def fitted_line(memory_mb: Sequence[float]) -> tuple[float, float]:
     """Return where a line fitted through evenly spaced samples starts, and how much it rises."""
     rise, start = np.polyfit(np.linspace(0, 1, len(memory_mb)), memory_mb, 1)
     return float(start), float(rise)
 
 
-def summary(seen, statuses):
+def summary(seen: Soak, statuses: Sequence[int | None]) -> Figures:
     """Return the report of a Soak; no memory figures where it was too short for them."""
     stamps_s, frames = zip(*seen.beats)
     report = {
@@ -168,11 +172,11 @@ def summary(seen, statuses):
         'received': dict(seen.host.received), 'memory_mb_every_10_s': seen.memory[::10]}
     if len(seen.memory) >= MIN_MEMORY_S:
         report['memory_mb'], report['memory_growth_mb'] = fitted_line(
-            [one['private'] for one in seen.memory[WARM_UP_S:]])
+            [held_mb['private'] for held_mb in seen.memory[WARM_UP_S:]])
     return report
 
 
-def failures(report):
+def failures(report: Figures) -> list[str]:
     """Return a line for each check that a report fails."""
     lines = list(report['failures'])
     if not report['longest_gap_s'] < MAX_GAP_S:
@@ -186,7 +190,7 @@ def failures(report):
                     for name, status in report['exit_status'].items() if status]
 
 
-def arguments(argv):
+def arguments(argv: Sequence[str] | None) -> Namespace:
     """Return the parsed command line; exit 2 on a usage error."""
     parser = Parser(prog='soak', description=__doc__)
     parser.add_argument('recording', metavar='REC', type=Path, nargs='?',
@@ -204,7 +208,7 @@ def arguments(argv):
     return args
 
 
-def command(args):
+def command(args: Namespace) -> bool:
     """Do what the command line says; RecordingError where a check fails."""
     try:
         seen, *statuses = soak(args.recording, args.seconds)
@@ -225,10 +229,10 @@ def command(args):
     return bool(lines)
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args = arguments(argv)
-    failed = []
+    failed: list[bool] = []
     return run('soak', lambda: failed.append(command(args))) or int(failed[0])
 
 

@@ -10,14 +10,16 @@
 
 from collections import Counter
 from itertools import cycle
+from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped, QuaternionStamped
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
-OUTPUTS = {
+OUTPUTS: dict[str, type[Any]] = {
     'orientation': QuaternionStamped,
     'orientation_covariance': PoseWithCovarianceStamped,
     'stabilized/image': Image,
@@ -32,24 +34,24 @@ SUBSCRIBER_PERIOD_S, GUEST_PERIOD_S = 2, 7
 class Participant:
     """Somebody in the middleware, with an executor of his own."""
 
-    def __init__(self, name, namespace):
+    def __init__(self, name: str, namespace: str) -> None:
         self._context = Context()
         rclpy.init(args=[], context=self._context)
         self.node = rclpy.create_node(name, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self.received = Counter()
+        self.received: Counter[str] = Counter()
 
-    def subscribe(self, topic):
+    def subscribe(self, topic: str) -> Subscription:
         """Return a new subscription to one of OUTPUTS; what arrives is counted."""
         return self.node.create_subscription(
             OUTPUTS[topic], topic, lambda msg: self.received.update((topic,)), 5)
 
-    def serve(self, seconds):
+    def serve(self, seconds: float) -> None:
         """Take in messages for so long."""
         self._executor.spin_once(timeout_sec=seconds)
 
-    def leave(self):
+    def leave(self) -> None:
         """Leave the middleware."""
         self._executor.shutdown()
         self.node.destroy_node()
@@ -59,13 +61,13 @@ class Participant:
 class Comings:
     """Subscribers that come and go: of each output in turn, alone or as a new participant."""
 
-    def __init__(self, host):
+    def __init__(self, host: Participant) -> None:
         self._host = host
         self._topics = cycle(OUTPUTS)
-        self._subscriptions = []
-        self._guest = None
+        self._subscriptions: list[Subscription] = []
+        self._guest: Participant | None = None
 
-    def turn(self, second):
+    def turn(self, second: int) -> None:
         """Do what is due in this second."""
         if second % SUBSCRIBER_PERIOD_S == 0:
             self._subscriptions.append(self._host.subscribe(next(self._topics)))
@@ -79,12 +81,12 @@ class Comings:
                 for topic in OUTPUTS:
                     self._guest.subscribe(topic)
 
-    def serve(self):
+    def serve(self) -> None:
         """Let the guest take in a message."""
         if self._guest:
             self._guest.serve(0.)
 
-    def close(self):
+    def close(self) -> None:
         """Send the guest away."""
         if self._guest:
             self._guest.leave()

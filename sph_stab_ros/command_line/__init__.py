@@ -9,25 +9,27 @@
 """What the command-line tools share: one line for an error, exit 2 for a usage error, 1 else."""
 
 import argparse
+from collections.abc import Callable
 import logging
 import os
 from pathlib import Path
 import signal
 import sys
+from typing import NoReturn
 
 from sph_stab_ros.command_line.process_setup import set_up_process
-from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.recording import Recording, RecordingError
 
 
 class Parser(argparse.ArgumentParser):
     """An argument parser that says what is wrong in one line, without the usage before it."""
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
         self.exit(2, f'{self.prog}: {message}\n')
 
 
-def add_recording(parser, name):
+def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
     """Add arguments for a recording to read, called ``name``, and for what of it."""
     parser.add_argument('recording', metavar=name, type=Path,
                         help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
@@ -36,25 +38,25 @@ def add_recording(parser, name):
     parser.add_argument('--max-frames', metavar='N', type=_count, help='stop after N pictures')
 
 
-def add_imu_topic(parser):
+def add_imu_topic(parser: argparse.ArgumentParser) -> None:
     """Add an argument for the IMU that ``level: imu`` needs."""
     parser.add_argument('--imu-topic', metavar='TOPIC',
                         help='where the IMU of "level: imu" is in a bag with several')
 
 
-def frames_to_read(recording, max_frames):
+def frames_to_read(recording: Recording, max_frames: int | None) -> int | None:
     """Return how many pictures a Recording has, ``max_frames`` at most; None if unknown."""
     return min(filter(None, (recording.frame_count, max_frames)), default=None)
 
 
-def _count(text):
+def _count(text: str) -> int:
     count = int(text)
     if count < 1:
         raise argparse.ArgumentTypeError('must be at least 1')
     return count
 
 
-def run(name, command):
+def run(name: str, command: Callable[[], object]) -> int:
     """
     Return the exit status of ``command()``: 0, or 1 after a line on stderr.
 

@@ -35,7 +35,7 @@ Parameters = dict[str, tuple[str, Any]]
 class SetParameters(argparse.Action):
     """An argument that sets the Parameters which ``read(text, flag)`` returns."""
 
-    def __init__(self, *args: Any, read: Callable[[Any, str], Parameters], **kwargs: Any):
+    def __init__(self, *args: Any, read: Callable[[Any, str], Parameters], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._read = read
 

@@ -8,10 +8,12 @@
 
 """Set a process up for large pictures and thin matrices, and end it in bounded time."""
 
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import ctypes
 import logging
 import signal
+from typing import Any
 
 # glibc's names for what mallopt sets, and the largest threshold that it takes.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8
@@ -20,13 +22,13 @@ NEVER = 1 << 30
 ENDING_S = 10
 
 
-def set_up_process():
+def set_up_process() -> None:
     """Limit BLAS's threads and keep freed memory; before others start threads."""
     limit_blas_threads()
     keep_freed_memory()
 
 
-def limit_blas_threads():
+def limit_blas_threads() -> None:
     """
     Let BLAS use one thread.
 
@@ -41,7 +43,7 @@ def limit_blas_threads():
         threadpool_limits(1, user_api='blas')
 
 
-def keep_freed_memory():
+def keep_freed_memory() -> None:
     """
     Let the memory of one picture be that of the next.
 
@@ -56,7 +58,7 @@ def keep_freed_memory():
         mallopt(M_ARENA_MAX, 1)
 
 
-def give_back_freed_memory():
+def give_back_freed_memory() -> None:
     """Give the system what has been kept; now and then, so that it does not pile up."""
     malloc_trim = _in_glibc('malloc_trim')
     if malloc_trim:
@@ -64,7 +66,7 @@ def give_back_freed_memory():
 
 
 @contextmanager
-def bounded_ending():
+def bounded_ending() -> Iterator[None]:
     """
     Let the system end the process where the block takes longer than ENDING_S.
 
@@ -80,7 +82,7 @@ def bounded_ending():
         signal.alarm(0)
 
 
-def _in_glibc(name):
+def _in_glibc(name: str) -> Callable[..., Any] | None:
     """Return a function of the C library's, None where it is another one."""
     try:
         return getattr(ctypes.CDLL(None), name, None)

@@ -8,19 +8,21 @@
 
 """Run the package's executables as processes and measure what they use (Linux)."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
+from typing import Any
 
 ENDING_S = 30.
 CLOCK_TICKS_PER_S = os.sysconf('SC_CLK_TCK')
 
 
 @contextmanager
-def running(module, *args):
+def running(module: str, *args: str) -> Iterator[subprocess.Popen[Any]]:
     """
     Run an executable of the package until the block ends; give its Popen.
 
@@ -39,14 +41,14 @@ def running(module, *args):
             process.wait()
 
 
-def cpu_s(pid):
+def cpu_s(pid: int) -> float:
     """Return the CPU time in seconds that a process has used so far, all threads together."""
     # The name, in parentheses, may hold anything; user and system time are fields 14 and 15.
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
     return (int(fields[11]) + int(fields[12])) / CLOCK_TICKS_PER_S
 
 
-def memory_mb(pid):
+def memory_mb(pid: int) -> dict[str, float]:
     """
     Return by name what memory a process holds, in MB.
 

@@ -46,7 +46,7 @@ class Frame:
 
     @property
     def image(self) -> Image:
-        """Return the picture, decoded when first asked for; ImageError where it cannot be."""
+        """Return the picture, decoded at the first time; ImageError where it cannot be."""
         return self.source.image if isinstance(self.source, JpegFile) else self.source
 
     @property

@@ -10,5 +10,6 @@
 The operator's page: a web server that brings the camera to a browser and the look direction back.
 
 ``page/`` is what the browser runs: it derotates the camera's own picture and looks around in it.
-``pairing``, ``protocol``, ``client`` and ``server`` know no ROS; ``robot`` is the other end.
+``pairing``, ``protocol``, ``client`` and ``server`` know no ROS; ``robot`` is the other end, and
+``operated_robot`` what the server asks of it.
 """

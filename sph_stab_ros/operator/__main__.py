@@ -14,27 +14,35 @@ Subscribes to ``image/compressed`` or ``image``, ``orientation``, ``virtual_orie
 on SIGINT and SIGTERM.
 """
 
+from argparse import Namespace
 import asyncio
+from collections.abc import Sequence
 import logging
 from pathlib import Path
 import signal
 import socket
 import sys
+from typing import TYPE_CHECKING
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
 
+if TYPE_CHECKING:
+    from aiohttp.web import AppRunner
+    from sph_stab_ros.operator.server import OperatorServer
+
 PORT = 8360
 LOOPBACK = '127.0.0.1'
 LOG = logging.getLogger('operator')
 
 
-def arguments(argv):
+def arguments(argv: Sequence[str]) -> Namespace:
     """Return the parsed command line; exit 2 on a usage error."""
     parser = Parser(
         prog='operator', description='Serve a page to look around in the stabilised view.',
@@ -69,7 +77,7 @@ def arguments(argv):
     return args
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['operator', *argv]
     try:
@@ -96,7 +104,7 @@ def main(argv=None):
     return 0
 
 
-async def serve(args):
+async def serve(args: Namespace) -> None:
     """Serve the page until SIGINT or SIGTERM."""
     # An optional dependency, missing with a line of its own.
     from sph_stab_ros.operator.access import Access, is_loopback, new_token
@@ -106,8 +114,8 @@ async def serve(args):
 
     loop = asyncio.get_running_loop()
     ending = asyncio.Event()
-    for one in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(one, ending.set)
+    for ending_signal in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(ending_signal, ending.set)
     token = args.token or (None if is_loopback(args.host) else new_token())
     robot = Robot(args.stabilizer,
                   lambda picture: loop.call_soon_threadsafe(server.show, picture),
@@ -129,7 +137,7 @@ async def serve(args):
             robot.destroy_node()
 
 
-async def start(server, host, port):
+async def start(server: 'OperatorServer', host: str, port: int | None) -> 'AppRunner':
     """Let the server listen; return its runner. OSError where it cannot."""
     if port is not None:
         return await server.start(host, port)
@@ -140,7 +148,7 @@ async def start(server, host, port):
         return await server.start(host, 0)
 
 
-def spin(robot):
+def spin(robot: Node) -> None:
     """Serve the node until ROS ends."""
     executor = SingleThreadedExecutor()
     executor.add_node(robot)
@@ -150,7 +158,7 @@ def spin(robot):
         pass
 
 
-def address(host, port, token):
+def address(host: str, port: int, token: str | None) -> str:
     """Return the URL to open in a browser."""
     if host in ('0.0.0.0', '::', ''):
         host = own_address()
@@ -158,7 +166,7 @@ def address(host, port, token):
     return f'http://{name}:{port}/' + (f'?token={token}' if token else '')
 
 
-def own_address():
+def own_address() -> str:
     """Return the address by which others reach this machine, or its name."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

@@ -8,10 +8,12 @@
 
 """Who may talk to the server: by token, by the page that they come from, a few at a time."""
 
+from collections.abc import Callable, Collection
 from ipaddress import ip_address
-from logging import LoggerAdapter
+from logging import Logger, LoggerAdapter
 import secrets
 from time import monotonic
+from typing import Any
 from urllib.parse import urlsplit
 
 from aiohttp import web
@@ -30,21 +32,21 @@ class Access:
 
     Parameters
     ----------
-    host : str
+    host
         Where the server listens. On loopback only local names are served: a page of another site
         that lets its own name point here (DNS rebinding) is refused.
-    token : str or None
+    token
         What a request for the page or its socket has to carry, if anything.
 
     """
 
-    def __init__(self, host, token=None):
+    def __init__(self, host: str, token: str | None = None) -> None:
         self._local_only = is_loopback(host)
         if not (token or self._local_only):
             raise ValueError('a token is needed where others can connect')
         self.token = token
 
-    def check_page(self, request):
+    def check_page(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless the request may have the page."""
         if self._local_only and not is_loopback(name_of(request.host)):
             raise web.HTTPForbidden(text=f"{request.host!r} is no name of this machine's own.\n")
@@ -54,7 +56,7 @@ class Access:
                 text='The token in the address is missing or wrong: use the address that the '
                      'operator command has printed.\n')
 
-    def check_socket(self, request):
+    def check_socket(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless a WebSocket is asked for by our own page."""
         self.check_page(request)
         origin = request.headers.get('Origin', '')
@@ -65,39 +67,41 @@ class Access:
 class ConnectionGuard:
     """Closes connections that do not become sockets, and those that are too many."""
 
-    def __init__(self, clock=monotonic):
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
-        # connection -> when it was first seen.
-        self._waiting_s = {}
-        self._sockets = set()
+        # When each connection was first seen.
+        self._waiting_s: dict[web.RequestHandler, float] = {}
+        self._sockets: set[web.RequestHandler] = set()
 
-    def let_stay(self, request):
+    def let_stay(self, request: web.Request) -> None:
         """Let the connection of a request be, which becomes a socket's."""
         self._sockets.add(request.protocol)
 
-    def close_idle(self, connections):
-        """Close the RequestHandlers of an aiohttp server that are in the way; return how many."""
+    def close_idle(self, connections: Collection[web.RequestHandler]) -> int:
+        """Close the connections of an aiohttp server that are in the way; return how many."""
         now_s = self._clock()
         self._sockets.intersection_update(connections)
-        self._waiting_s = {one: self._waiting_s.get(one, now_s)
-                           for one in connections if one not in self._sockets}
+        self._waiting_s = {connection: self._waiting_s.get(connection, now_s)
+                           for connection in connections if connection not in self._sockets}
         excess = max(0, len(connections) - MAX_CONNECTIONS)
-        oldest_first = sorted(self._waiting_s, key=self._waiting_s.get)
-        closed = [one for n, one in enumerate(oldest_first)
-                  if n < excess or self._waiting_s[one] <= now_s - PATIENCE_S]
-        for one in closed:
-            one.force_close()
+        oldest_first = sorted(self._waiting_s, key=self._waiting_s.__getitem__)
+        closed = [connection for n, connection in enumerate(oldest_first)
+                  if n < excess or self._waiting_s[connection] <= now_s - PATIENCE_S]
+        for connection in closed:
+            connection.force_close()
         return len(closed)
 
 
-class ServerLog(LoggerAdapter):
+# It takes the type from Python 3.11 on only.
+class ServerLog(LoggerAdapter):  # type: ignore[type-arg]
     """The log of an aiohttp server, which takes what is no HTTP for an error with traceback."""
 
-    def __init__(self, logger, warn):
+    def __init__(self, logger: Logger, warn: Callable[[str, str], object]) -> None:
         super().__init__(logger, {})
         self._warn = warn
 
-    def exception(self, msg, *args, exc_info=True, **kwargs):
+    def exception(self, msg: object, *args: object, exc_info: Any = True,
+                  **kwargs: Any) -> None:
         """Log an error; in one line if it is the other end's."""
         if isinstance(exc_info, HttpProcessingError):
             self._warn('no HTTP', f'a request refused: {exc_info.message.splitlines()[0]}')
@@ -105,7 +109,7 @@ class ServerLog(LoggerAdapter):
             super().exception(msg, *args, exc_info=exc_info, **kwargs)
 
 
-def name_of(host):
+def name_of(host: str) -> str:
     """Return the name in a host of a request, without the port; '' where it is none."""
     try:
         return urlsplit(f'//{host}').hostname or ''
@@ -113,7 +117,7 @@ def name_of(host):
         return ''
 
 
-def is_loopback(host):
+def is_loopback(host: str) -> bool:
     """Tell whether only this machine itself can connect to a host."""
     try:
         return ip_address(host).is_loopback
@@ -121,6 +125,6 @@ def is_loopback(host):
         return host.lower() == 'localhost'
 
 
-def new_token():
+def new_token() -> str:
     """Return a token that cannot be guessed."""
     return secrets.token_urlsafe(TOKEN_BYTES)

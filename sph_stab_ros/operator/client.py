@@ -10,8 +10,10 @@
 
 from asyncio import Event
 from collections import deque
+from collections.abc import AsyncIterator, Callable
 from time import monotonic
 
+from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import picture_message
 
 # One picture is decoded and drawn while the next one is on its way.
@@ -31,30 +33,31 @@ class Client:
     most, so that it delays neither others nor itself.
     """
 
-    def __init__(self, name, clock=monotonic):
+    def __init__(self, name: str | None, clock: Callable[[], float] = monotonic) -> None:
         self.name = name
         # Whether something that it asked for is still being done.
         self.busy = False
         self._clock = clock
         self._wake = Event()
-        self._texts = {}
-        self._picture = None
-        # sequence -> (when the camera's picture was received, when it was sent).
-        self._undrawn = {}
-        self._drawn = deque()
+        self._texts: dict[str, str] = {}
+        self._picture: tuple[int, Picture] | None = None
+        # When the camera's picture was received, by sequence.
+        self._undrawn: dict[int, float] = {}
+        # When each was drawn, and how long after it was received.
+        self._drawn: deque[tuple[float, float]] = deque()
         self._credit, self._credit_s = BURST, clock()
 
-    def offer_picture(self, sequence, picture):
+    def offer_picture(self, sequence: int, picture: Picture) -> None:
         """Replace the picture that waits to be sent."""
         self._picture = sequence, picture
         self._wake.set()
 
-    def offer_text(self, kind, text):
+    def offer_text(self, kind: str, text: str) -> None:
         """Replace the text of this kind that waits to be sent."""
         self._texts[kind] = text
         self._wake.set()
 
-    async def messages(self):
+    async def messages(self) -> AsyncIterator[str | bytes]:
         """Yield texts and binary messages, each when it is wanted and there is something new."""
         while True:
             await self._wake.wait()
@@ -68,15 +71,16 @@ class Client:
                 # A text may have come meanwhile.
                 self._wake.set()
 
-    def drawn(self, sequence):
+    def drawn(self, sequence: int) -> None:
         """Note that a picture is drawn, and those before it are drawn or skipped."""
         now_s = self._clock()
         if sequence in self._undrawn:
             self._drawn.append((now_s, now_s - self._undrawn[sequence]))
-        self._undrawn = {one: at_s for one, at_s in self._undrawn.items() if one > sequence}
+        self._undrawn = {later: received_s for later, received_s in self._undrawn.items()
+                         if later > sequence}
         self._wake.set()
 
-    def rate_and_latency(self):
+    def rate_and_latency(self) -> tuple[float, float | None]:
         """
         Return pictures drawn per second, and seconds from camera to screen, or None.
 
@@ -91,7 +95,7 @@ class Client:
         latencies_s = sorted(latency_s for _, latency_s in self._drawn)
         return len(latencies_s) / WINDOW_S, latencies_s[len(latencies_s) // 2]
 
-    def may_speak(self):
+    def may_speak(self) -> bool:
         """Tell whether one more message is within the rate that a page needs."""
         now_s = self._clock()
         self._credit = min(BURST, self._credit + MESSAGES_PER_S * (now_s - self._credit_s)) - 1

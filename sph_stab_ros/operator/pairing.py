@@ -9,9 +9,11 @@
 """Pair pictures by stamp with their orientations, which come later and on another topic."""
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from threading import Lock
 from time import monotonic
+from typing import TypeAlias
 
 # The node is gone when it is silent for so long; pictures then go out without orientation.
 SILENCE_S = 1.0
@@ -21,13 +23,16 @@ MAX_WAITING = 32
 # newest picture is then taken to be the one meant.
 UNKNOWN_NS = 0
 
+# (x, y, z, w)
+UnitQuaternion: TypeAlias = tuple[float, float, float, float]
+
 
 @dataclass(frozen=True)
 class Orientation:
-    """Quaternions (x, y, z, w) of the camera, and of the virtual one that is shown."""
+    """Of the camera, and of the virtual one that is shown."""
 
-    R_world_camera: tuple
-    R_world_virtual: tuple
+    R_world_camera: UnitQuaternion
+    R_world_virtual: UnitQuaternion
 
 
 @dataclass(frozen=True)
@@ -52,16 +57,16 @@ class StampedOrientations:
 
     Parameters
     ----------
-    emit : callable
+    emit
         Takes stamp and Orientation.
 
     """
 
-    def __init__(self, emit):
+    def __init__(self, emit: Callable[[int, Orientation], object]) -> None:
         self._emit = emit
-        self._halves = {}
+        self._halves: dict[int, dict[str, UnitQuaternion]] = {}
 
-    def add(self, stamp_ns, **half):
+    def add(self, stamp_ns: int, **half: UnitQuaternion) -> None:
         """Take in one of an Orientation's values; emit the Orientation if it was the last one."""
         known = self._halves.setdefault(stamp_ns, {})
         known.update(half)
@@ -81,21 +86,22 @@ class Pairing:
 
     Parameters
     ----------
-    emit : callable
+    emit
         Takes each Picture that is complete, one at a time; not to call back.
 
     """
 
-    def __init__(self, emit, clock=monotonic):
+    def __init__(self, emit: Callable[[Picture], object],
+                 clock: Callable[[], float] = monotonic) -> None:
         self._emit = emit
         self._clock = clock
         self._lock = Lock()
-        self._pictures = deque(maxlen=MAX_WAITING)
+        self._pictures: deque[Picture] = deque(maxlen=MAX_WAITING)
         # An orientation may overtake a picture that has to be encoded first.
-        self._orientations = deque(maxlen=MAX_WAITING)
+        self._orientations: deque[tuple[int, Orientation]] = deque(maxlen=MAX_WAITING)
         self._heard_s = -SILENCE_S
 
-    def add_picture(self, picture):
+    def add_picture(self, picture: Picture) -> None:
         """Emit a picture whose orientation is known, or that no node looks at; keep others."""
         with self._lock:
             known = [orientation for stamp_ns, orientation in self._orientations
@@ -108,7 +114,7 @@ class Pairing:
                     self._pictures.clear()
                 self._pictures.append(picture)
 
-    def add_orientation(self, stamp_ns, orientation):
+    def add_orientation(self, stamp_ns: int, orientation: Orientation) -> None:
         """Emit the picture of an orientation; those before it were left out by the node."""
         with self._lock:
             self._heard_s = self._clock()

@@ -19,6 +19,9 @@ from dataclasses import asdict, dataclass, fields
 import json
 from math import isfinite, sqrt
 from struct import pack
+from typing import Any, TypeAlias
+
+from sph_stab_ros.operator.pairing import Picture, UnitQuaternion
 
 # All commands are shorter by far.
 MAX_MESSAGE_BYTES = 1024
@@ -35,7 +38,7 @@ class Drawn:
 
     sequence: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check the value."""
         if type(self.sequence) is not int or not 0 <= self.sequence < 2**53:
             raise ProtocolError('sequence is not a number of a picture')
@@ -45,18 +48,18 @@ class Drawn:
 class Look:
     """The operator looks there: the quaternion (x, y, z, w) of ``R_virtual_view``."""
 
-    direction: tuple
+    direction: UnitQuaternion
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check the value and make it a unit quaternion."""
         if not (isinstance(self.direction, list) and len(self.direction) == 4
-                and all(type(one) in (int, float) and abs(one) <= 2 for one in self.direction)):
+                and all(type(part) in (int, float) and abs(part) <= 2 for part in self.direction)):
             raise ProtocolError('direction is not four numbers')
-        norm = sqrt(sum(one * one for one in self.direction))
+        norm = sqrt(sum(part * part for part in self.direction))
         # Written so that NaN fails too.
         if not (isfinite(norm) and abs(norm - 1) <= QUATERNION_TOLERANCE):
             raise ProtocolError('direction is not a unit quaternion')
-        object.__setattr__(self, 'direction', tuple(one / norm for one in self.direction))
+        object.__setattr__(self, 'direction', tuple(part / norm for part in self.direction))
 
 
 @dataclass(frozen=True)
@@ -80,17 +83,20 @@ class SetMode:
 
     mode: str
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         """Check the value."""
         if not (isinstance(self.mode, str) and 0 < len(self.mode) <= 40):
             raise ProtocolError('mode is not a name')
 
 
-COMMANDS = {'drawn': Drawn, 'look': Look, 'take_control': TakeControl,
-            'reset_heading': ResetHeading, 'level': Level, 'set_mode': SetMode}
+Command: TypeAlias = Drawn | Look | TakeControl | ResetHeading | Level | SetMode
+
+COMMANDS: dict[str, type[Command]] = {
+    'drawn': Drawn, 'look': Look, 'take_control': TakeControl,
+    'reset_heading': ResetHeading, 'level': Level, 'set_mode': SetMode}
 
 
-def parse_command(text):
+def parse_command(text: str) -> Command:
     """Return the command in a message of the page, or raise ProtocolError."""
     try:
         values = json.loads(text)
@@ -100,12 +106,12 @@ def parse_command(text):
     command = COMMANDS.get(kind) if isinstance(kind, str) else None
     if command is None:
         raise ProtocolError('not a command')
-    if values.keys() != {one.name for one in fields(command)}:
+    if values.keys() != {field.name for field in fields(command)}:
         raise ProtocolError(f'{kind} takes other values')
     return command(**values)
 
 
-def picture_message(sequence, picture):
+def picture_message(sequence: int, picture: Picture) -> bytes:
     """
     Return the binary message of a Picture.
 
@@ -122,6 +128,6 @@ def picture_message(sequence, picture):
     return b''.join((pack('<I', len(header)), header, picture.data))
 
 
-def text_message(kind, **values):
+def text_message(kind: str, **values: Any) -> str:
     """Return a JSON text for the page."""
     return json.dumps({'type': kind, **values})

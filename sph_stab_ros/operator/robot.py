@@ -15,21 +15,26 @@ images are encoded as JPEG. Without a browser no images are subscribed to.
 """
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from time import monotonic
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Quaternion, QuaternionStamped
+from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sph_stab_ros.config import MODES
 from sph_stab_ros.images.codec import encode_jpeg, image_from_message, ImageError
-from sph_stab_ros.operator.pairing import Pairing, Picture, StampedOrientations
-from sph_stab_ros.operator.server import RobotError
+from sph_stab_ros.operator.operated_robot import RobotError
+from sph_stab_ros.operator.pairing import (
+    Pairing, Picture, StampedOrientations, UnitQuaternion)
 from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.image_topics import compressed_topic, subscribe_to_images
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
@@ -63,7 +68,7 @@ class RobotState:
     message: str = ''
     rate_hz: str = ''
     latency_ms: str = ''
-    modes: tuple = ()
+    modes: tuple[str, ...] = ()
     mode: str = ''
     can_reset: bool = False
     can_level: bool = False
@@ -75,23 +80,26 @@ class Robot(Node):
 
     Parameters
     ----------
-    stabilizer : str
+    stabilizer
         Name of the stabilizer node, relative to this one's namespace.
-    show : callable
+    show
         Takes each Picture; called from threads of this node.
-    pictures : str
+    pictures
         Whose, one of PICTURES.
 
     """
 
-    def __init__(self, stabilizer, show, pictures='camera'):
+    def __init__(self, stabilizer: str, show: Callable[[Picture], object],
+                 pictures: str = 'camera') -> None:
         super().__init__('operator')
         self._topic, self._derotated = PICTURES[pictures], pictures == 'stabilizer'
         self._watched = False
-        self._images = self._transport = None
+        self._images: Subscription | None = None
+        self._transport: str | None = None
         self._frame_id = ''
         self._image_s = self._diagnostics_s = float('-inf')
-        self._status, self._status_values = DiagnosticStatus(), {}
+        self._status = DiagnosticStatus()
+        self._status_values: dict[str, str] = {}
         self._mode = ''
         self._question, self._next_question_s = Future(), 0.
         self._log = ThrottledLog(self.get_logger().warning)
@@ -115,7 +123,7 @@ class Robot(Node):
         self.create_timer(CHECK_PERIOD_S, self._check,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def destroy_node(self):
+    def destroy_node(self) -> None:
         """End the worker and the node."""
         self._encoding.close()
         super().destroy_node()
@@ -123,7 +131,7 @@ class Robot(Node):
     # For the web server, from its thread.
 
     @property
-    def state(self):
+    def state(self) -> RobotState:
         """Return the present RobotState."""
         heard = monotonic() < self._diagnostics_s + SILENCE_S
         values = self._status_values if heard else {}
@@ -139,27 +147,27 @@ class Robot(Node):
             can_reset=heard and self._reset.service_is_ready(),
             can_level=heard and self._level.service_is_ready())
 
-    def watch(self, watched):
+    def watch(self, watched: bool) -> None:
         """Say whether anybody looks at the pictures."""
         self._watched = watched
 
-    def look(self, direction):
+    def look(self, direction: UnitQuaternion) -> None:
         """Publish the operator's look direction, the quaternion of R_virtual_view."""
         x, y, z, w = direction
         self._look.publish(QuaternionStamped(
             header=Header(stamp=self.get_clock().now().to_msg(), frame_id=self._frame_id),
             quaternion=Quaternion(x=x, y=y, z=z, w=w)))
 
-    async def reset_heading(self):
+    async def reset_heading(self) -> str:
         """Make the next image's orientation the world's; return what to tell the operator."""
         await self._call(self._reset)
         return 'Heading reset: ahead is where the robot looks now.'
 
-    async def level(self):
+    async def level(self) -> str:
         """Level the horizon; return the stabilizer's answer."""
         return await self._call(self._level)
 
-    async def set_mode(self, mode):
+    async def set_mode(self, mode: str) -> str:
         """Change how the view follows the robot; return what to tell the operator."""
         if mode not in MODES:
             raise RobotError(f"The stabilizer has no mode '{mode}'.")
@@ -170,7 +178,7 @@ class Robot(Node):
         self._mode = mode
         return f"Mode: {mode.replace('_', ' ')}."
 
-    async def _call(self, client):
+    async def _call(self, client: Client) -> str:
         """Call a Trigger service; return its answer, or raise it as RobotError."""
         if not client.service_is_ready():
             raise RobotError('The stabilizer does not offer that.')
@@ -179,7 +187,7 @@ class Robot(Node):
             raise RobotError(sentence(answer.message or 'the stabilizer refused'))
         return sentence(answer.message or 'done')
 
-    async def _answer(self, future):
+    async def _answer(self, future: Future) -> Any:
         """Wait for an rclpy future in the event loop; return its result."""
         loop = asyncio.get_running_loop()
         done = asyncio.Event()
@@ -193,27 +201,27 @@ class Robot(Node):
 
     # In the executor's thread.
 
-    def _on_orientation(self, name, msg):
+    def _on_orientation(self, name: str, msg: QuaternionStamped) -> None:
         self._frame_id = msg.header.frame_id
         try:
-            quaternion = tuple(rotation_from_message(msg).as_quat().tolist())
+            x, y, z, w = rotation_from_message(msg).as_quat().tolist()
         except ValueError as error:
             self._log.warn(name, f'orientation ignored: {error}')
         else:
-            self._orientations.add(stamp_ns(msg.header.stamp), **{name: quaternion})
+            self._orientations.add(stamp_ns(msg.header.stamp), **{name: (x, y, z, w)})
 
-    def _on_image(self, msg):
+    def _on_image(self, msg: Any) -> None:
         self._image_s = monotonic()
         self._encoding.put(msg, self._image_s)
 
-    def _on_diagnostics(self, msg):
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             if status.name == self._status_name:
                 self._status = status
                 self._status_values = {pair.key: pair.value for pair in status.values}
                 self._diagnostics_s = monotonic()
 
-    def _check(self):
+    def _check(self) -> None:
         """Subscribe to what there is as far as it is wanted, and ask for the node's mode."""
         transport = self._present_transport() if self._watched else None
         if transport != self._transport:
@@ -230,12 +238,12 @@ class Robot(Node):
             self._question.cancel()
             self._question = self._node_parameters.get_parameters([MODE], self._on_mode)
 
-    def _on_mode(self, future):
+    def _on_mode(self, future: Future) -> None:
         # Empty where there is no such parameter.
         if not future.cancelled() and (values := future.result().values):
             self._mode = values[0].string_value
 
-    def _present_transport(self):
+    def _present_transport(self) -> str | None:
         """Return how the camera's images are published; as files, where both are."""
         if self.count_publishers(compressed_topic(self, self._topic)):
             return 'compressed'
@@ -244,7 +252,7 @@ class Robot(Node):
 
     # In the worker's thread.
 
-    def _encode(self, msg, received_s):
+    def _encode(self, msg: Any, received_s: float) -> None:
         try:
             # Not numpy's: that would be a view of the message.
             data = bytes(msg.data) if hasattr(msg, 'format') else \
@@ -256,6 +264,6 @@ class Robot(Node):
                 stamp_ns(msg.header.stamp), data, received_s, derotated=self._derotated))
 
 
-def sentence(text):
+def sentence(text: str) -> str:
     """Return a text with a capital and a full stop."""
     return text[:1].upper() + text[1:].rstrip('.') + '.'

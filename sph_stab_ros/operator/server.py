@@ -9,20 +9,24 @@
 """The web server: the page and its files, and a WebSocket for each browser."""
 
 import asyncio
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import asdict
 from importlib import resources
 import logging
 from mimetypes import guess_type
+from typing import Any
 from weakref import WeakSet
 
 from aiohttp import web, WSCloseCode, WSMsgType
 
-from sph_stab_ros.operator.access import ConnectionGuard, ServerLog
+from sph_stab_ros.operator.access import Access, ConnectionGuard, ServerLog
 from sph_stab_ros.operator.client import Client
+from sph_stab_ros.operator.operated_robot import OperatedRobot, RobotError
+from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import (
-    Drawn, Level, Look, MAX_MESSAGE_BYTES, parse_command, ProtocolError, ResetHeading, SetMode,
-    TakeControl, text_message)
+    Command, Drawn, Level, Look, MAX_MESSAGE_BYTES, parse_command, ProtocolError, ResetHeading,
+    SetMode, TakeControl, text_message)
 
 MAX_CLIENTS = 5
 STATE_PERIOD_S = 0.2
@@ -45,10 +49,6 @@ HEADERS = {
 NOT_IN_CONTROL = 'Another operator has control: take it first.'
 
 
-class RobotError(Exception):
-    """Something that the robot cannot or did not do, in one line for the operator."""
-
-
 class OperatorServer:
     """
     Serves the page, and lets one of its users at a time steer.
@@ -57,30 +57,28 @@ class OperatorServer:
 
     Parameters
     ----------
-    robot
-        Has ``state`` (a dataclass for the page), ``watch(bool)``, ``look(direction)``, and
-        coroutines ``reset_heading()``, ``level()`` and ``set_mode(mode)`` that return what to
-        tell the operator, or raise RobotError.
-    access : Access
-    warn : callable
+    robot, access
+        Whom it steers, and who may.
+    warn
         Logs a text; the kind of event comes before it, so that a flood can be held back.
 
     """
 
-    def __init__(self, robot, access, warn, max_clients=MAX_CLIENTS):
+    def __init__(self, robot: OperatedRobot, access: Access, warn: Callable[[str, str], object],
+                 max_clients: int = MAX_CLIENTS) -> None:
         self._robot = robot
         self._access = access
         self._warn = warn
         self._max_clients = max_clients
         self._files = page_files()
         self._guard = ConnectionGuard()
-        self._sockets = WeakSet()
-        self._clients = []
-        self._in_control = None
+        self._sockets: WeakSet[web.WebSocketResponse] = WeakSet()
+        self._clients: list[Client] = []
+        self._in_control: Client | None = None
         self._picture_count = 0
-        self._tasks = set()
+        self._tasks: set[asyncio.Task[None]] = set()
 
-    async def start(self, host, port):
+    async def start(self, host: str, port: int) -> web.AppRunner:
         """Listen; return the aiohttp runner, whose ``addresses`` tell where."""
         app = web.Application(client_max_size=MAX_MESSAGE_BYTES)
         app.router.add_get('/', self._get_page)
@@ -93,16 +91,17 @@ class OperatorServer:
                                logger=ServerLog(logging.getLogger(__name__), self._warn))
         await runner.setup()
         await web.TCPSite(runner, host, port).start()
+        assert runner.server is not None
         self._run(self._tell_state(runner.server))
         return runner
 
-    def show(self, picture):
+    def show(self, picture: Picture) -> None:
         """Send a Picture to all browsers that are ready for it."""
         self._picture_count += 1
         for client in self._clients:
             client.offer_picture(self._picture_count, picture)
 
-    def _run(self, coroutine):
+    def _run(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Start a task, and keep it alive until it ends."""
         task = asyncio.create_task(coroutine)
         self._tasks.add(task)
@@ -111,28 +110,28 @@ class OperatorServer:
 
     # Requests.
 
-    async def _get_page(self, request):
+    async def _get_page(self, request: web.Request) -> web.Response:
         self._check(self._access.check_page, request)
         return self._file(PAGE)
 
-    async def _get_file(self, request):
+    async def _get_file(self, request: web.Request) -> web.Response:
         return self._file(request.match_info['name'])
 
-    def _check(self, check, request):
+    def _check(self, check: Callable[[web.Request], None], request: web.Request) -> None:
         """Let a check raise HTTPForbidden, with a line in the log."""
         try:
             check(request)
         except web.HTTPForbidden as refusal:
-            self._warn('forbidden', f'{request.remote} refused: {refusal.text.strip()}')
+            self._warn('forbidden', f'{request.remote} refused: {(refusal.text or "").strip()}')
             raise
 
-    def _file(self, name):
+    def _file(self, name: str) -> web.Response:
         if name not in self._files:
             raise web.HTTPNotFound
         body, content_type = self._files[name]
         return web.Response(body=body, content_type=content_type, charset='utf-8')
 
-    async def _add_headers(self, request, response):
+    async def _add_headers(self, request: web.Request, response: web.StreamResponse) -> None:
         # Whoever sends a strange host gets a policy that names none.
         host = request.host if all(c.isalnum() or c in '.:-[]' for c in request.host) else ''
         for name, value in HEADERS.items():
@@ -141,7 +140,7 @@ class OperatorServer:
             # Kept open, nobody could tell it from an idle one.
             response.force_close()
 
-    async def _get_socket(self, request):
+    async def _get_socket(self, request: web.Request) -> web.WebSocketResponse:
         self._check(self._access.check_socket, request)
         self._guard.let_stay(request)
         socket = web.WebSocketResponse(
@@ -158,7 +157,7 @@ class OperatorServer:
 
     # One browser.
 
-    async def _serve(self, socket, client):
+    async def _serve(self, socket: web.WebSocketResponse, client: Client) -> None:
         """Talk to a browser until it goes, or has to."""
         self._clients.append(client)
         if self._in_control is None:
@@ -180,7 +179,7 @@ class OperatorServer:
             self._robot.watch(bool(self._clients))
             self._tell_all()
 
-    async def _send(self, socket, client):
+    async def _send(self, socket: web.WebSocketResponse, client: Client) -> None:
         try:
             async for message in client.messages():
                 if isinstance(message, str):
@@ -190,7 +189,7 @@ class OperatorServer:
         except ConnectionError:
             pass
 
-    async def _listen(self, socket, client):
+    async def _listen(self, socket: web.WebSocketResponse, client: Client) -> None:
         async for message in socket:
             if message.type is not WSMsgType.TEXT:
                 raise ProtocolError('not a text')
@@ -200,7 +199,7 @@ class OperatorServer:
         if socket.exception():
             self._warn('dropped', f'{client.name} dropped: {socket.exception()}')
 
-    def _obey(self, client, command):
+    def _obey(self, client: Client, command: Command) -> None:
         if isinstance(command, Drawn):
             client.drawn(command.sequence)
         elif isinstance(command, TakeControl):
@@ -218,7 +217,7 @@ class OperatorServer:
             client.busy = True
             self._run(self._act(client, command))
 
-    async def _act(self, client, command):
+    async def _act(self, client: Client, command: Command) -> None:
         """Let the robot do what was asked for, and tell how that went."""
         try:
             if isinstance(command, ResetHeading):
@@ -234,12 +233,12 @@ class OperatorServer:
             client.busy = False
             self._tell_all()
 
-    def _tell(self, client, text, **values):
+    def _tell(self, client: Client, text: str, **values: Any) -> None:
         client.offer_text('notice', text_message('notice', text=text, **values))
 
     # All browsers.
 
-    def _tell_all(self):
+    def _tell_all(self) -> None:
         """Tell everybody how things are."""
         robot = asdict(self._robot.state)
         for client in self._clients:
@@ -251,27 +250,27 @@ class OperatorServer:
                 rate_hz=round(rate_hz, 1),
                 latency_ms=None if latency_s is None else round(1e3 * latency_s)))
 
-    async def _tell_state(self, server):
+    async def _tell_state(self, server: web.Server) -> None:
         while True:
             self._tell_all()
             if closed := self._guard.close_idle(server.connections):
                 self._warn('idle', f'{closed} connections closed that led to nothing')
             await asyncio.sleep(STATE_PERIOD_S)
 
-    async def _close_all(self, app):
+    async def _close_all(self, app: web.Application) -> None:
         for task in tuple(self._tasks):
             task.cancel()
         await asyncio.gather(*(
             close(socket, WSCloseCode.GOING_AWAY) for socket in tuple(self._sockets)))
 
 
-async def close(socket, code, text=''):
+async def close(socket: web.WebSocketResponse, code: int, text: str = '') -> None:
     """Close a WebSocket, whose other end may not even read."""
     with suppress(asyncio.TimeoutError):
         await asyncio.wait_for(socket.close(code=code, message=text.encode()), CLOSING_S)
 
 
-def page_files():
+def page_files() -> dict[str, tuple[bytes, str | None]]:
     """Return name -> (bytes, content type) of the page's files."""
     folder = resources.files('sph_stab_ros.operator') / 'page'
     return {path.name: (path.read_bytes(), guess_type(path.name)[0])

@@ -16,7 +16,8 @@ from typing import TypeVar
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
-from sph_stab_ros.images.times import MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock
+from sph_stab_ros.images.times import (
+    MAX_DELAY_NS, MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock)
 
 logger = logging.getLogger(__name__)
 
@@ -86,3 +87,21 @@ class PlayingTime:
         self.elapsed_ns += STEP_PLAYED_NS
         self._offset_ns = time_ns - self.elapsed_ns
         return ahead_ns
+
+
+class HeaderClock:
+    """Counts a topic's stamps from the start of playing, whatever clock they are of."""
+
+    def __init__(self) -> None:
+        self._clock = PictureClock()
+        self._ahead_ns: int | None = None
+
+    def elapsed_ns(self, stamp_ns: int, received_ns: int, played_ns: int) -> int:
+        """Return the time of the next message, whose stamp may be zero, played after so long."""
+        time_ns = self._clock.decide(Stamp(stamp_ns or None, received_ns)).time_ns
+        if self._ahead_ns is None:
+            # Stamps and receipts are of one clock, or else of no known relation.
+            delay_ns = received_ns - (stamp_ns or received_ns)
+            self._ahead_ns = time_ns - played_ns + (
+                delay_ns if abs(delay_ns) <= MAX_DELAY_NS else 0)
+        return time_ns - self._ahead_ns

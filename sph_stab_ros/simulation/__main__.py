@@ -8,26 +8,33 @@
 
 """Simulate a flight and write it as a recording with exact truth."""
 
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 import sys
+from typing import Any
 
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.simulation import company, flights
+from sph_stab_ros.simulation.flights import Flight
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS, read_frames, write_recording
 from sph_stab_ros.simulation.renderer import render, RenderOptions
 from sph_stab_ros.simulation.room import Room
 from tqdm import tqdm
 
 NAME = 'simulation'
-FROM_LOGS = {'drone': flights.drone, 'pioneer': flights.pioneer, 'handheld': flights.handheld}
-COMPANY = {'company_pioneer': company.pioneer, 'company_handheld': company.handheld}
-SYNTHETIC = {'synthetic': flights.synthetic, 'hover': flights.hover, 'shake': flights.shake,
-             **COMPANY}
+FROM_LOGS: dict[str, Callable[[Path], Flight]] = {
+    'drone': flights.drone, 'pioneer': flights.pioneer, 'handheld': flights.handheld}
+COMPANY: dict[str, Callable[[int], Flight]] = {
+    'company_pioneer': company.pioneer, 'company_handheld': company.handheld}
+SYNTHETIC: dict[str, Callable[[int], Flight]] = {
+    'synthetic': flights.synthetic, 'hover': flights.hover, 'shake': flights.shake, **COMPANY}
 PEOPLE = {'pioneer': 2, 'handheld': 4, 'hover': 2}
-HARD = {
+HARD: dict[str, dict[str, Any]] = {
     'plain': {},  # a property of the room
     'blur': {'exposure_s': 1 / 30},
     'rolling': {'readout_s': 0.02},
@@ -36,7 +43,7 @@ HARD = {
 }
 
 
-def parser():
+def parser() -> Parser:
     """Return the parser of the command line."""
     result = Parser(f'python3 -m sph_stab_ros.{NAME}', description=__doc__)
     result.add_argument('flight', choices=[*FROM_LOGS, *SYNTHETIC])
@@ -62,7 +69,7 @@ def parser():
     return result
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     command_line = parser()
     args = command_line.parse_args(argv)
@@ -79,7 +86,7 @@ def main(argv=None):
     return run(NAME, lambda: simulate(command_line, args))
 
 
-def simulate(command_line, args):
+def simulate(command_line: Parser, args: Namespace) -> None:
     """Write the recording that the arguments describe."""
     whole = whole_flight(args)
     flight = part(command_line, whole, args)
@@ -93,7 +100,7 @@ def simulate(command_line, args):
     write_recording(args.out, flight, progress, args.quality, args.force, R_camera_markers)
 
 
-def rendered(args, whole, flight):
+def rendered(args: Namespace, whole: Flight, flight: Flight) -> Iterator[Image]:
     """Return an iterator over the pictures of a flight, part of a whole one."""
     if args.flight in COMPANY:
         # Where people walk is planned over the whole flight.
@@ -110,17 +117,17 @@ def rendered(args, whole, flight):
     return (render(room, seen, float(t_s), args.width, options) for t_s in times_s)
 
 
-def whole_flight(args):
+def whole_flight(args: Namespace) -> Flight:
     """Return the flight that is named, at its full length."""
     if args.flight in SYNTHETIC:
-        return SYNTHETIC[args.flight](seed=args.seed)
+        return SYNTHETIC[args.flight](args.seed)
     try:
         return FROM_LOGS[args.flight](args.logs)
     except ValueError as error:
         raise RecordingError(str(error)) from error
 
 
-def part(command_line, whole, args):
+def part(command_line: Parser, whole: Flight, args: Namespace) -> Flight:
     """Return the part of the flight that is wanted; a part it does not have is a usage error."""
     frames = args.frames_limit
     if frames is None:

@@ -17,8 +17,9 @@ from struct import unpack_from
 import aiohttp
 import pytest
 from sph_stab_ros.operator.access import Access
+from sph_stab_ros.operator.operated_robot import RobotError
 from sph_stab_ros.operator.pairing import Picture
-from sph_stab_ros.operator.server import OperatorServer, RobotError
+from sph_stab_ros.operator.server import OperatorServer
 
 TIMEOUT_S = 20.
 IDENTITY = (0., 0., 0., 1.)

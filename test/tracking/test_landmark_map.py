@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.equirect import pixels_from_bearings
 from sph_stab_ros.tracking.anchored.landmark_map import (
-    ADJUSTED_KEYFRAMES, inlier_mask, LandmarkMap, Landmarks, MAX_KEYFRAMES, MAX_LANDMARKS,
-    MIN_DISTANCE_PX, Observations)
+    ADJUSTED_KEYFRAMES, LandmarkMap, MAX_KEYFRAMES, MAX_LANDMARKS, MIN_DISTANCE_PX)
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask, Landmarks, Observations
 from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import CAUCHY
 from synthetic import angle_deg, random_rotation, textured_sphere, unit

@@ -17,10 +17,9 @@ from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bea
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
 from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Window
+from sph_stab_ros.tracking.anchored.landmarks import Landmarks, Observations
 from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
 from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, PatchStore
-from sph_stab_ros.tracking.anchored.pose_estimation import cauchy_weights
-from sph_stab_ros.tracking.anchored.table import Table
 from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
 
 MAX_LANDMARKS = 600
@@ -44,44 +43,6 @@ MIN_TRUST = 0.15
 LENSES_CHANGED_RAD = np.deg2rad(0.03)
 # The window's covariance takes observations for independent, which they are not.
 COVARIANCE_INFLATION = 4.0
-
-
-@dataclass
-class Landmarks(Table):
-    """
-    N things to be seen again; each belongs to the keyframe in which its patch was cut, its host.
-
-    ``number`` (N,) rises; ``host`` (N,) is the keyframe's, ``x``, ``east``, ``south`` (N, 3) the
-    bearing and the patch's tangents in the host's camera, ``inverse_depth`` and ``information``
-    (N,) as counted from there. ``agreed`` (N,) is for how many frames it has lately agreed with
-    the others, ``missed`` (N,) for how many it has not been seen, ``active`` (N,) bool whether it
-    is looked for, ``patch`` (N,) the row of its patch in the store.
-    """
-
-    number: np.ndarray
-    host: np.ndarray
-    x: np.ndarray
-    east: np.ndarray
-    south: np.ndarray
-    inverse_depth: np.ndarray
-    information: np.ndarray
-    agreed: np.ndarray
-    missed: np.ndarray
-    active: np.ndarray
-    patch: np.ndarray
-
-
-@dataclass
-class Observations(Table):
-    """
-    Landmarks as one camera saw them.
-
-    Their numbers (N,), ascending, bearings y (N, 3) in the camera, ``sqrt_information`` (N, 2, 3).
-    """
-
-    number: np.ndarray
-    y: np.ndarray
-    sqrt_information: np.ndarray
 
 
 @dataclass
@@ -293,8 +254,3 @@ def _are_among(numbers, others):
     """Tell which of ascending numbers (N,) are among ascending others (M,), M > 0."""
     place = np.minimum(np.searchsorted(others, numbers), len(others) - 1)
     return others[place] == numbers
-
-
-def inlier_mask(sizes, scale):
-    """Tell which whitened residuals of such sizes (N,) are worth more than a quarter."""
-    return cauchy_weights(sizes, scale) > 0.25

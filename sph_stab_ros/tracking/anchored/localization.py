@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sph_stab_ros.geometry.rotations import cross
-from sph_stab_ros.tracking.anchored.landmark_map import inlier_mask, Observations
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask, Observations
 from sph_stab_ros.tracking.anchored.patches import LEVELS, MAX_LATITUDE_RAD
 from sph_stab_ros.tracking.anchored.pose_estimation import (
     fit_depths, fit_pose, Points, PoseEstimate)
@@ -23,10 +23,11 @@ MIN_POINTS = 20
 # Residuals that many times as large as usual say that not all of it is one scene any more: who
 # stood still begins to walk.
 DOUBTFUL = 1.5
-# A landmark has a say in the pose once it has agreed with the others for so many frames: who walks
-# by, or carries the camera, does not for long. Where hardly any has, all have.
-MATURE_FRAMES = 8
+# Where hardly any landmark is mature, all have a say in the pose.
 MIN_MATURE = 40
+# At a keyframe so many of those inactive are looked for; they are back within this much.
+MAX_RETURNING = 600
+RETURNING_SIZE = 8.0
 # Patches are found where they look the same, the search has settled, and not too far away.
 MIN_CORRELATION = 0.75
 MAX_LAST_STEP_PX = 0.5
@@ -101,7 +102,7 @@ def localize(landmark_map, rows, pyramid, R_world_camera, position, position_sig
             LEVELS if coarsely else 1)
         if len(found) < MIN_POINTS:
             return None
-        mature = landmark_map.landmarks.agreed[found] >= MATURE_FRAMES
+        mature = landmark_map.landmarks.is_mature(found)
         if mature.sum() < MIN_MATURE:
             mature[:] = True
         voters, guess_pose = points[mature], (R_world_camera.inv(), position)
@@ -168,3 +169,17 @@ def look_along(z, landmark_map, rows, pyramid, R_world_camera, is_usable, levels
                         @ np.stack((east, south), axis=1))
     return rows, Points(x[found], origins[found], landmarks.inverse_depth[rows],
                         landmarks.information[rows], y, sqrt_information)
+
+
+def returning(landmark_map, pyramid, R_world_camera, position, is_usable):
+    """Wake inactive landmarks that are seen from a known pose; return their Observations."""
+    landmarks = landmark_map.landmarks
+    rows, points = match_landmarks(
+        landmark_map, landmark_map.near(position, MAX_RETURNING), pyramid, R_world_camera,
+        position, is_usable)
+    b = landmark_map.directions(rows, position) @ R_world_camera.as_matrix()
+    sizes = np.linalg.norm(np.einsum('nki,ni->nk', points.sqrt_information, b - points.y), axis=1)
+    back = (sizes < RETURNING_SIZE) & landmarks.is_mature(rows)
+    landmarks.wake(rows[back])
+    return Observations(landmarks.number[rows[back]], points.y[back],
+                        points.sqrt_information[back])

@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
-from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION, inlier_mask
+from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
 from sph_stab_ros.tracking.anchored.localization import (
     GOOD_PREDICTION_RAD, Localization, look_along, MAX_ATTEMPTS, MIN_POINTS)
 from sph_stab_ros.tracking.anchored.pose_hypotheses import (
@@ -40,7 +41,7 @@ SAME_RAD = np.deg2rad(0.02)
 TEMPERATURE = 4.
 
 
-class Start:
+class MapInitializer:
     """
     The landmarks of a map's only keyframe, and the poses that may be the last frame's.
 
@@ -59,8 +60,9 @@ class Start:
         self._map = landmark_map
         self._sigma_per_s, self._min_sigma = position_sigma_per_s, min_position_sigma
         self._first_ns = None
-        # Orientation by the pose that counted before, to tell how far another one differs.
-        self.R_world_continued = None
+        # Orientation by the pose that counted before, to tell how far another one differs; None
+        # where the last frame was not localized here.
+        self.R_world_continued: Rotation | None = None
         # Where each landmark was last seen or, if it was missed since, would be if it were far.
         self._y = landmark_map.landmarks.x.copy()
         # R_last_key and the position in that camera of each, the one that counted first.
@@ -73,6 +75,7 @@ class Start:
 
         ``R_camera_last`` is a guess.
         """
+        self.R_world_continued = None
         self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
         sigma = max(self._sigma_per_s * (stamp_ns - self._first_ns) / NS_PER_S, self._min_sigma)
         R_world_key = rotation_from_matrix(self._map.keyframes[0].R)

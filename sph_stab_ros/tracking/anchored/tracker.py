@@ -15,22 +15,21 @@ the landmarks' depths are adjusted together. Inactive landmarks are looked for a
 camera comes near.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.rotations import rotate_covariance, rotation_from_matrix
-from sph_stab_ros.images.texture import at_most, has_texture, TEXTURE_WIDTH as SMALL_WIDTH
+from sph_stab_ros.images.texture import has_texture
 from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
-from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MAX_LANDMARKS, Observations
+from sph_stab_ros.tracking.anchored.correction import SmoothCorrection
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MAX_LANDMARKS
+from sph_stab_ros.tracking.anchored.landmarks import Observations
 from sph_stab_ros.tracking.anchored.localization import (
-    DOUBTFUL, localize, match_landmarks, MATURE_FRAMES, MIN_MATURE, MIN_POINTS)
-from sph_stab_ros.tracking.anchored.map_initialization import Start
-from sph_stab_ros.tracking.anchored.patches import Pyramid
+    DOUBTFUL, localize, MIN_MATURE, MIN_POINTS, returning)
+from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
+from sph_stab_ros.tracking.anchored.prepared_frame import PreparedFrame
 from sph_stab_ros.tracking.anchored.relocalization import Relocalizer, SIGMA_RAD
-from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns, Thumbnail
+from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns
 from sph_stab_ros.tracking.anchored.wide_baseline import locate_widely
 from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.motion_model import MotionModel
@@ -39,12 +38,6 @@ from sph_stab_ros.tracking.motion_model import MotionModel
 # further since the last one, in the median.
 MIN_SURVIVORS = 0.4
 MAX_PARALLAX_RAD = 0.04
-# Landmarks are deactivated when they are missed for so many frames, or disagree for as many.
-MAX_MISSED = 6
-MIN_AGREED, DISAGREEING = -5, -2
-# At a keyframe so many of those inactive are looked for; they are back within this much.
-MAX_RETURNING = 600
-RETURNING_SIZE = 8.0
 # How far the camera moves against a prediction, in the unit of the map, per second.
 POSITION_SIGMA_PER_S = 0.6
 MIN_POSITION_SIGMA = 0.02
@@ -57,19 +50,6 @@ MAX_ATTEMPTS = 3
 LOST_RAD = 1.
 # How quickly the usual scale of residuals follows that of each frame.
 SCALE_RATE = 0.1
-# A correction reaches the picture in steps of this size, or this share of what is left.
-MAX_CORRECTION_RAD = np.deg2rad(0.01)
-CORRECTED_SHARE = 0.2
-
-
-@dataclass(frozen=True)
-class PreparedFrame:
-    """A grey sphere (H, W), as a whole and small (h, w), and what is made of it."""
-
-    grey: np.ndarray
-    small: np.ndarray
-    pyramid: Pyramid
-    thumbnail: Thumbnail
 
 
 class AnchoredTracker:
@@ -102,7 +82,7 @@ class AnchoredTracker:
         self._thumbnail = None
         self._motion = MotionModel(self._max_prediction_s, self._turn_between)
         self._covariance = np.zeros((3, 3))
-        self._R_out_world = Rotation.identity()
+        self._correction = SmoothCorrection()
         self._keyframe_to_add = None
         self._relocalizer = None
 
@@ -124,10 +104,9 @@ class AnchoredTracker:
     def track(self, grey, stamp_ns):
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         self.settle()
-        small = at_most(grey, SMALL_WIDTH)
-        if not has_texture(small):
+        frame = PreparedFrame(grey)
+        if not has_texture(frame.small):
             return self._predicted(stamp_ns)
-        frame = PreparedFrame(grey, small, Pyramid(grey), Thumbnail(small))
         if not self._map.keyframes:
             self._start_map(frame, stamp_ns)
         else:
@@ -145,7 +124,8 @@ class AnchoredTracker:
             if self._is_keyframe(localization):
                 self._keyframe_to_add = frame, localization
         return TrackedOrientation(
-            self._R_out_world * self._motion.R_world_camera, TrackingStatus.OK, self._covariance)
+            self._correction.R_out_world * self._motion.R_world_camera, TrackingStatus.OK,
+            self._covariance)
 
     def settle(self):
         """Do what the last orientation did not have to wait for: keyframes, and recognition."""
@@ -182,14 +162,14 @@ class AnchoredTracker:
             self._motion.rotate_world(R_old_new)
             self._covariance = (rotate_covariance(self._covariance, R_old_new)
                                 + known_better * np.eye(3))
-            self._R_out_world = Rotation.identity()
+            self._correction.reset()
             self._relocalizer = None
 
     def _start_map(self, frame, stamp_ns):
         """Start anew from here, in the orientation reached."""
         self._map = LandmarkMap()
         self._motion.reset(stamp_ns)
-        self._R_out_world = Rotation.identity()
+        self._correction.reset()
         self._visible.still.update(frame.small, None)
         self._thumbnail = frame.thumbnail
         self._map.add_keyframe(
@@ -198,7 +178,7 @@ class AnchoredTracker:
         self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
         self._landmarks_at_keyframe = MAX_LANDMARKS
         self._scale = 1.
-        self._start = None if self._map.landmarks is None else Start(
+        self._initializer = None if self._map.landmarks is None else MapInitializer(
             self._map, POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA)
 
     def _locate(self, frame, stamp_ns):
@@ -208,16 +188,15 @@ class AnchoredTracker:
         motion = self._motion
         R_camera_last = align_thumbnails(
             self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
-        if self._start is not None:
-            return self._start.localize(
+        if self._initializer is not None:
+            return self._initializer.localize(
                 frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
         elapsed_s = motion.trusted_s(stamp_ns)
         return localize(
             self._map, np.flatnonzero(self._map.landmarks.active), frame.pyramid,
             motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
             max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._scale,
-            self._visible.shows,
-            coarsely=elapsed_s > MAX_FINE_S)
+            self._visible.shows, coarsely=elapsed_s > MAX_FINE_S)
 
     def _locate_widely(self, frame):
         """Return the Localization somewhere near the last keyframe, None without."""
@@ -234,10 +213,10 @@ class AnchoredTracker:
         landmarks = self._map.landmarks
         for keyframe, R_camera_key in likely_turns(
                 self._map.keyframes[-MAX_CANDIDATES:], frame.thumbnail)[:MAX_ATTEMPTS]:
-            if self._start is not None:
+            if self._initializer is not None:
                 R_camera_last = (R_camera_key * rotation_from_matrix(keyframe.R).inv()
                                  * self._motion.R_world_camera)
-                localization = self._start.localize(
+                localization = self._initializer.localize(
                     frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
                 if localization is not None:
                     return localization
@@ -249,9 +228,8 @@ class AnchoredTracker:
                 rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
                 POSITION_SIGMA_PER_S, self._scale, self._visible.shows, coarsely=True)
             if localization is not None:
-                landmarks.active[localization.rows] = True
-                landmarks.missed[localization.rows] = 0
-                self._R_out_world = Rotation.identity()
+                landmarks.wake(localization.rows)
+                self._correction.reset()
                 return localization
         return None
 
@@ -267,30 +245,17 @@ class AnchoredTracker:
                             + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
                             + self._map.lenses.covariance(
                                 R_world_first.inv() * R_world_camera))
-        if self._start is not None:
+        if self._initializer is not None and self._initializer.R_world_continued is not None:
             # When another pose counts than did before, the picture follows smoothly.
-            self._R_out_world *= self._start.R_world_continued * R_world_camera.inv()
-        left = self._R_out_world.as_rotvec()
-        size = np.linalg.norm(left)
-        step = max(MAX_CORRECTION_RAD, CORRECTED_SHARE * size)
-        self._R_out_world = Rotation.from_rotvec(
-            left * (max(0., size - step) / max(size, 1e-12)))
+            self._correction.hide(self._initializer.R_world_continued, R_world_camera)
+        self._correction.step()
 
     def _judge_landmarks(self, localization):
         """Note which landmarks agree; deactivate those that are not seen or do not."""
-        landmarks, agreeing = self._map.landmarks, localization.agreeing
-        good = localization.rows[agreeing]
-        landmarks.inverse_depth[good] = localization.pose.inverse_depths[agreeing]
-        if self._start is not None:
-            # Nobody is judged by a pose that may turn out to be wrong.
-            landmarks.agreed[:] = 0
-            landmarks.agreed[good] = MATURE_FRAMES
-        else:
-            landmarks.agreed[localization.rows] += np.where(agreeing, 1, DISAGREEING)
-        np.minimum(landmarks.agreed, 2 * MATURE_FRAMES, out=landmarks.agreed)
-        landmarks.missed[landmarks.active] += 1
-        landmarks.missed[good if self._start is None else localization.rows] = 0
-        landmarks.active &= (landmarks.missed < MAX_MISSED) & (landmarks.agreed > MIN_AGREED)
+        landmarks = self._map.landmarks
+        # At the start nobody is judged for good.
+        judge = landmarks.judge if self._initializer is None else landmarks.judge_for_now
+        judge(localization.rows, localization.agreeing, localization.pose.inverse_depths)
 
     def _is_keyframe(self, localization):
         seen = localization.rows[localization.agreeing]
@@ -300,50 +265,36 @@ class AnchoredTracker:
             - self._map.directions(some, last.position), axis=1))
         if parallax_rad > MAX_PARALLAX_RAD:
             return True
-        if self._start is not None:
+        if self._initializer is not None:
             return len(localization.rows) < MIN_SURVIVORS * len(self._map.landmarks)
         # In the beginning those that move by themselves must have time to tell.
-        mature = (self._map.landmarks.agreed[seen] >= MATURE_FRAMES).sum()
+        mature = self._map.landmarks.is_mature(seen).sum()
         return len(seen) < (MIN_SURVIVORS * self._landmarks_at_keyframe
                             if mature >= MIN_MATURE else 2 * MIN_POINTS)
 
     def _add_keyframe(self, frame, localization):
         """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
-        self._start = None
+        self._initializer = None
         motion, before = self._motion, self._motion.R_world_camera
-        observations = [localization.observations(self._map.landmarks, localization.agreeing),
-                        self._returning(frame)]
-        observations = Observations.joined(observations)
+        observations = Observations.joined((
+            localization.observations(self._map.landmarks, localization.agreeing),
+            returning(self._map, frame.pyramid, before, motion.position, self._visible.shows)))
         self._map.add_keyframe(before, motion.position, self._covariance, frame.grey,
                                frame.thumbnail, observations[np.argsort(observations.number)])
         self._map.adjust()
         keyframe = self._map.keyframes[-1]
         motion.R_world_camera = rotation_from_matrix(keyframe.R)
         motion.position = keyframe.position
-        self._R_out_world = self._R_out_world * before * motion.R_world_camera.inv()
+        self._correction.hide(before, motion.R_world_camera)
         self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
         self._map.shrink()
         self._landmarks_at_keyframe = self._map.landmarks.active.sum()
 
-    def _returning(self, frame):
-        """Wake inactive landmarks that are seen from here; return their Observations."""
-        landmarks, motion = self._map.landmarks, self._motion
-        rows, points = match_landmarks(
-            self._map, self._map.near(motion.position, MAX_RETURNING), frame.pyramid,
-            motion.R_world_camera, motion.position, self._visible.shows)
-        b = self._map.directions(rows, motion.position) @ motion.R_world_camera.as_matrix()
-        sizes = np.linalg.norm(
-            np.einsum('nki,ni->nk', points.sqrt_information, b - points.y), axis=1)
-        back = (sizes < RETURNING_SIZE) & (landmarks.agreed[rows] >= MATURE_FRAMES)
-        landmarks.active[rows[back]] = True
-        landmarks.missed[rows[back]] = 0
-        return Observations(landmarks.number[rows[back]], points.y[back],
-                            points.sqrt_information[back])
-
     def _predicted(self, stamp_ns):
         """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
         motion = self._motion
+        R_world_camera = motion.R_world_camera * motion.predicted_rotation(stamp_ns)
         return TrackedOrientation(
-            self._R_out_world * motion.R_world_camera * motion.predicted_rotation(stamp_ns),
+            self._correction.R_out_world * R_world_camera,
             TrackingStatus.PREDICTED if motion.is_predictable(stamp_ns)
             else TrackingStatus.LOST)

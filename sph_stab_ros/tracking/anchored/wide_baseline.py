@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
-from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION, inlier_mask
+from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
 from sph_stab_ros.tracking.anchored.localization import (
     Localization, look_along, MIN_AGREEMENT, MIN_POINTS)
 from sph_stab_ros.tracking.anchored.pose_estimation import fit_depths

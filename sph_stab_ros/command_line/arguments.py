@@ -1,0 +1,33 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""What the texts of arguments mean, of kinds that several commands may take."""
+
+from argparse import ArgumentTypeError
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+
+def names_argument(known: Collection[str]) -> Callable[[str], list[str]]:
+    """Return a converter of a comma-separated list of names, each in ``known``."""
+    def convert(text: str) -> list[str]:
+        names = list(dict.fromkeys(text.split(',')))
+        for name in names:
+            if name not in known:
+                raise ArgumentTypeError(f"'{name}' is none of {', '.join(known)}")
+        return names
+    return convert
+
+
+def output_argument(text: str) -> Path:
+    """Return the path of an output, whose folder must exist."""
+    path = Path(text)
+    if not path.absolute().parent.is_dir():
+        raise ArgumentTypeError(f"there is no folder '{path.parent}'")
+    return path

@@ -1,0 +1,45 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+
+"""What the web server asks of the robot, and how that says no."""
+
+from typing import Any, Protocol
+
+from sph_stab_ros.operator.pairing import UnitQuaternion
+
+
+class RobotError(Exception):
+    """Something that the robot cannot or did not do, in one line for the operator."""
+
+
+class OperatedRobot(Protocol):
+    """
+    What an OperatorServer asks of the robot.
+
+    The coroutines return what to tell the operator, or raise RobotError.
+    """
+
+    @property
+    def state(self) -> Any:
+        """Return a dataclass for the page."""
+
+    def watch(self, watched: bool) -> None:
+        """Take in whether anybody looks at the pictures."""
+
+    def look(self, direction: UnitQuaternion) -> None:
+        """Take in where the operator looks, ``R_virtual_view``."""
+
+    async def reset_heading(self) -> str:
+        """Make the camera's present orientation the world's."""
+
+    async def level(self) -> str:
+        """Make the present orientation level."""
+
+    async def set_mode(self, mode: str) -> str:
+        """Change how the view follows the robot."""
