@@ -125,7 +125,7 @@ class Player:
         loop_start_ns = 0
         while True:
             playing, is_empty = PlayingTime(), True
-            clocks: dict[Publisher, HeaderClock] = {}
+            clocks = {publisher: HeaderClock() for publisher in self._publishers}
             for time_ns, publisher, msg in self._timeline():
                 is_empty = False
                 stepped_by_ns = playing.advance(time_ns)
@@ -136,9 +136,8 @@ class Player:
                 elapsed_ns = loop_start_ns + playing.elapsed_ns
                 self._spin_for(start_s + elapsed_ns / rate / NS_PER_S - time.monotonic())
                 if now:
-                    clock = clocks.setdefault(publisher, HeaderClock())
-                    restamp(msg, lambda ns: start_ns + round(
-                        (loop_start_ns + clock.elapsed_ns(ns, time_ns, playing)) / rate))
+                    restamp(msg, lambda ns: start_ns + round((loop_start_ns + clocks[
+                        publisher].elapsed_ns(ns, time_ns, playing.elapsed_ns)) / rate))
                 elif loop_start_ns:
                     # A stamp of zero means unknown and stays that.
                     restamp(msg, lambda ns: ns and ns + loop_start_ns)
@@ -216,7 +215,7 @@ def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:
 
 
 def time_message(ns: int) -> Any:
-    """Return the message of a time, the next that it can hold."""
+    """Return the message of a time, or of the nearest that a message can hold."""
     return Time(nanoseconds=min(max(ns, 0), MAX_TIME_NS)).to_msg()
 
 

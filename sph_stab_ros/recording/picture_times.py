@@ -90,18 +90,18 @@ class PlayingTime:
 
 
 class HeaderClock:
-    """Counts a topic's stamps from the start of the recording, whatever clock they are of."""
+    """Counts a topic's stamps from the start of playing, whatever clock they are of."""
 
     def __init__(self) -> None:
         self._clock = PictureClock()
         self._ahead_ns: int | None = None
 
-    def elapsed_ns(self, stamp_ns: int, received_ns: int, playing: PlayingTime) -> int:
-        """Return the time of the next message, of zero stamp or not, that is played now."""
+    def elapsed_ns(self, stamp_ns: int, received_ns: int, played_ns: int) -> int:
+        """Return the time of the next message, whose stamp may be zero, played after so long."""
         time_ns = self._clock.decide(Stamp(stamp_ns or None, received_ns)).time_ns
         if self._ahead_ns is None:
             # Stamps and receipts are of one clock, or else of no known relation.
             delay_ns = received_ns - (stamp_ns or received_ns)
-            self._ahead_ns = time_ns - playing.elapsed_ns + (
+            self._ahead_ns = time_ns - played_ns + (
                 delay_ns if abs(delay_ns) <= MAX_DELAY_NS else 0)
         return time_ns - self._ahead_ns

@@ -92,8 +92,7 @@ class StabilizerNode(Node):
 
         warn = self.get_logger().warning
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(), warn)
-        self._outputs = Outputs(
-            self, self._settings, ThrottledLog(warn), self._diagnostics.cpu)
+        self._outputs = Outputs(self, self._settings, ThrottledLog(warn), self._diagnostics.cpu)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/level', self._on_level)
         self.create_service(Trigger, '~/look_at_home', self._on_look_at_home)
