@@ -52,7 +52,7 @@ from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.process_setup import (
     bounded_ending, give_back_freed_memory, set_up_process)
-from sph_stab_ros.config import ConfigError, IMU, VIEW
+from sph_stab_ros.config import ConfigError, IMU
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
@@ -88,7 +88,6 @@ class StabilizerNode(Node):
         self._stabilizer = Stabilizer(config)
         self._picture_clock = PictureClock()
         self._reset_wanted = False
-        self._said = ThrottledLog(self.get_logger().info)
 
         warn = self.get_logger().warning
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(), warn)
@@ -111,10 +110,8 @@ class StabilizerNode(Node):
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
-        # A file of all defaults describes the view that there is by default, used or not.
         for name in undeclared_overrides(self):
-            if not name.startswith(f'{VIEW}.'):
-                self.get_logger().warning(f"there is no parameter '{name}'")
+            self.get_logger().warning(f"there is no parameter '{name}'")
         self.get_logger().info(f'waiting for images on {images.topic_name}')
 
     def start(self) -> None:
@@ -130,10 +127,9 @@ class StabilizerNode(Node):
             except ExternalShutdownException:
                 return
             except Exception as error:
-                # After a shutdown nothing can be served.
                 if self.context.ok():
-                    self.get_logger().error(f'a message or a call made no sense: {error!r}',
-                                            throttle_duration_sec=LOG_PERIOD_S)
+                    self.get_logger().error(
+                        f'a call made no sense: {error!r}', throttle_duration_sec=LOG_PERIOD_S)
 
     def destroy_node(self) -> None:
         """Let the workers finish their frames, then destroy the node."""
@@ -148,13 +144,17 @@ class StabilizerNode(Node):
         if stamp_ns(msg.header.stamp) == 0:
             self.get_logger().warning(
                 'image stamps are zero, times of receipt are used', once=True)
-            msg.header.stamp = self.get_clock().now().to_msg()
+            now = self.get_clock().now()
+            if now.nanoseconds == 0:
+                self._diagnostics.refuse('no time', 'neither it nor /clock tells a time yet')
+                return
+            msg.header.stamp = now.to_msg()
         self._tracking.put(msg, monotonic())
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._reset_wanted = True
         message = 'the next image defines the stabilized frame'
-        self._said.warn('reset', f'reset: {message}')
+        self.get_logger().info(f'reset: {message}', throttle_duration_sec=LOG_PERIOD_S)
         return Trigger.Response(success=True, message=message)
 
     def _on_level(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

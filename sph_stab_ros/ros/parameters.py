@@ -50,8 +50,13 @@ def declare_parameters(node: Node) -> Settings:
 
 
 def undeclared_overrides(node: Node) -> list[str]:
-    """Return the names of parameters given at start that the node does not have."""
-    return [name for name in node._parameter_overrides if not node.has_parameter(name)]
+    """
+    Return the names of parameters given at start that the node does not have.
+
+    A file of all defaults describes the view that there is by default, used or not.
+    """
+    return [name for name in node._parameter_overrides
+            if not node.has_parameter(name) and not name.startswith(f'{VIEW}.')]
 
 
 def descriptor(option: Option) -> ParameterDescriptor:

@@ -21,11 +21,12 @@ from synthetic import angle_deg
 from tiny_recordings import stamps_of, turning_spheres
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
-from node_harness import DOMAINS, stabilizer, stamp_ns  # noqa: E402, I100
+from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
 from sph_stab_ros.ros.parameters import declare_parameters  # noqa: E402
@@ -215,7 +216,7 @@ def test_whoever_comes_late_is_told_where_durability_says_so(tmp_path):
         infos = []
         peer.subscribe(CameraInfo, 'view/camera_info', infos.append, LATCHED)
         peer.wait_until(lambda: infos)
-        assert stamp_ns(infos[0]) == first_ns
+        assert Time.from_msg(infos[0].header.stamp).nanoseconds == first_ns
 
 
 def test_misspelt_parameters_are_named(tmp_path):

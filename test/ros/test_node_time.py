@@ -86,6 +86,18 @@ def test_one_false_stamp_never_resets_the_world(peer, start_s, off_s):
     assert counted(peer, 'time_went_back') == resets
 
 
+def test_before_there_is_a_time_images_without_stamps_are_refused(tmp_path):
+    image, = turning_spheres(1)[0]
+    with stabilizer(tmp_path, '-p', 'use_sim_time:=true',
+                    topics=('orientation', '/diagnostics')) as peer:
+        peer.send(image, 0)
+        peer.diagnostics(lambda values: values.get('refused: no time') == '1')
+        assert not peer.received['orientation']
+        told(peer, 5 * NS_PER_S)
+        peer.stabilize(image, 0)
+        assert stamp_ns(peer.received['orientation'][-1]) == 5 * NS_PER_S
+
+
 def test_a_bag_that_loops_gives_the_same_again(peer):
     images, _ = turning_spheres(8)
     before = counted(peer, 'time_went_back')
