@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from sph_stab_ros.stabilization.recording_loop import stabilize_recording, Summary
     from sph_stab_ros.tracking import make_tracker, TrackedOrientation, Tracker, TrackingStatus
     from sph_stab_ros.tracking.frame_to_frame.estimators import BearingPairs, RotationEstimate
-    from sph_stab_ros.tracking.frame_to_frame.image_pair import ImagePair
+    from sph_stab_ros.tracking.frame_to_frame.methods import ImagePair
     from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
 
 __version__ = '0.1.0'
@@ -114,7 +114,7 @@ _NAMES_BY_MODULE = {
     'stabilization.recording_loop': ('Summary', 'stabilize_recording'),
     'tracking': ('TrackedOrientation', 'Tracker', 'TrackingStatus', 'make_tracker'),
     'tracking.frame_to_frame.estimators': ('BearingPairs', 'RotationEstimate'),
-    'tracking.frame_to_frame.image_pair': ('ImagePair',),
+    'tracking.frame_to_frame.methods': ('ImagePair',),
     'tracking.frame_to_frame.tracker': ('FrameToFrameTracker',),
 }
 _MODULE_OF = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}

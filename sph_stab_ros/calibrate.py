@@ -34,7 +34,7 @@ from sph_stab_ros.geometry.fisheye import fits
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import decoded_frames, open_recording, Recording, RecordingError
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 
 from tqdm import tqdm
 

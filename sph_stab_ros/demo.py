@@ -43,7 +43,7 @@ from sph_stab_ros.images.codec import image_from_message
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.recording.video_writer import VideoWriter
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame

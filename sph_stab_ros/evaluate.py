@@ -43,7 +43,7 @@ from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic
 
 from tqdm import tqdm

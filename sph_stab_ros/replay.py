@@ -31,7 +31,7 @@ from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
     picture_outputs)

@@ -33,7 +33,7 @@ from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.recording import decoded_frames, open_recording, Recording, RecordingError
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.tracking import working_width
 
 from tqdm import tqdm

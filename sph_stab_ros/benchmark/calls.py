@@ -34,7 +34,7 @@ from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.tracking.factory import FRAME_TO_FRAME_WIDTH, make_tracker, working_width
 from sph_stab_ros.tracking.frame_to_frame import features
 from sph_stab_ros.tracking.frame_to_frame.estimators import fit_epipolar, fit_essential, fit_moment
-from sph_stab_ros.tracking.frame_to_frame.image_pair import METHODS
+from sph_stab_ros.tracking.frame_to_frame.methods import METHODS
 from sph_stab_ros.tracking.frame_to_frame.optical_flow import dense_pairs, dis, spherical_flow
 
 VIEW_SIZE_WH = (960, 540)

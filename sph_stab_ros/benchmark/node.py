@@ -42,7 +42,7 @@ from sph_stab_ros.config import MIN_WIDTH
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.player import Player
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.ros.messages import stamp_ns
 
 PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'

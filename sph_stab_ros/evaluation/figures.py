@@ -37,7 +37,7 @@ from sph_stab_ros.recording import decoded_frames, Recording
 from sph_stab_ros.tracking.frame_to_frame.estimators import (
     BearingPairs, FitStatus, RotationEstimate)
 from sph_stab_ros.tracking.frame_to_frame.estimators.epipolar import flow_angles, tangent_basis
-from sph_stab_ros.tracking.frame_to_frame.image_pair import ImagePair, Sphere
+from sph_stab_ros.tracking.frame_to_frame.methods import ImagePair, Sphere
 from sph_stab_ros.tracking.frame_to_frame.optical_flow import dense_pairs
 
 DPI = 200

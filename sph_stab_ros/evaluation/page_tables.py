@@ -29,7 +29,7 @@ from typing import Any, TypeAlias
 
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 
 BLOCK = re.compile(r'(<!-- (\w+)((?: [\w-]+)+) -->\n).*?(<!-- end -->)', re.DOTALL)
 AXES = ('roll', 'pitch', 'yaw')

@@ -36,8 +36,8 @@ from sph_stab_ros.operator.operated_robot import RobotError
 from sph_stab_ros.operator.pairing import (
     Pairing, Picture, StampedOrientations, UnitQuaternion)
 from sph_stab_ros.ros.diagnostics import ThrottledLog
-from sph_stab_ros.ros.image_topics import compressed_topic, subscribe_to_images
 from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
+from sph_stab_ros.ros.topics import compressed_topic, subscribe_to_images
 from sph_stab_ros.ros.worker import Worker
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger

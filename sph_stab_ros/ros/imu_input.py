@@ -30,7 +30,7 @@ from sensor_msgs.msg import Imu
 from sph_stab_ros.geometry.arrays import Values
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.ros.diagnostics import Diagnostics
-from sph_stab_ros.ros.image_topics import subscribe
+from sph_stab_ros.ros.topics import subscribe
 from sph_stab_ros.stabilization.imu import ImuError, ImuSamples, NOT_MEASURED
 
 # Two seconds of a fast one: longer than between two heartbeats.

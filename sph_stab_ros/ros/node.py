@@ -61,12 +61,12 @@ from sph_stab_ros.images.frame import frame_from_message
 from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
 from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.ros.diagnostics import Diagnostics, LOG_PERIOD_S, ThrottledLog
-from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.messages import stamp_ns
-from sph_stab_ros.ros.outputs import Outputs
 from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
+from sph_stab_ros.ros.publishers import Outputs
 from sph_stab_ros.ros.silence import SilenceWatch
+from sph_stab_ros.ros.topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
 from sph_stab_ros.stabilization.outputs import Output

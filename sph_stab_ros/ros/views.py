@@ -22,8 +22,8 @@ from rclpy.node import Node
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import options, Settings, ViewConfig
 from sph_stab_ros.ros.diagnostics import ThrottledLog
-from sph_stab_ros.ros.image_topics import subscribe
 from sph_stab_ros.ros.messages import rates_from_twist, rotation_from_message
+from sph_stab_ros.ros.topics import subscribe
 from sph_stab_ros.stabilization.outputs import configured_look, VirtualCamera
 from sph_stab_ros.stabilization.steering import Steering
 

@@ -25,7 +25,7 @@ from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
 from sph_stab_ros.recording.messages import compressed_image
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.simulation.flights import Flight
 
 IMAGE_TOPIC = '/theta/image_raw/compressed'

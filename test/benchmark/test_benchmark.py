@@ -24,7 +24,7 @@ from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.tracking import TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.frame_to_frame.estimators import BearingPairs
-from sph_stab_ros.tracking.frame_to_frame.image_pair import METHODS
+from sph_stab_ros.tracking.frame_to_frame.methods import METHODS
 from tiny_recordings import write_bag
 
 STAGES = ('decode JPEG', 'grey, resize', 'flow farneback', 'flow dis', 'features A-KAZE',

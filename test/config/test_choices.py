@@ -23,7 +23,7 @@ from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.smoothing import Smoother
 from sph_stab_ros.tracking import make_tracker
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
-from sph_stab_ros.tracking.frame_to_frame import image_pair, optical_flow
+from sph_stab_ros.tracking.frame_to_frame import methods, optical_flow
 from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
 from synthetic import angle_deg, textured_sphere
 
@@ -33,7 +33,7 @@ def test_flows_are_those_that_can_be_computed():
 
 
 def test_methods_are_those_that_can_be_used():
-    assert set(METHODS) == image_pair.METHODS.keys()
+    assert set(METHODS) == methods.METHODS.keys()
 
 
 def test_every_estimator_that_can_be_chosen_has_its_tracker():

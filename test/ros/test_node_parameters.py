@@ -28,8 +28,8 @@ from rclpy.context import Context  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import CameraInfo  # noqa: E402
-from sph_stab_ros.ros.image_topics import compressed_topic  # noqa: E402
 from sph_stab_ros.ros.parameters import declare_parameters  # noqa: E402
+from sph_stab_ros.ros.topics import compressed_topic  # noqa: E402
 
 DEFAULTS = Path(__file__).resolve().parents[2] / 'config' / 'stabilizer.yaml'
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -14,7 +14,7 @@ from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.images.texture import has_texture
 from sph_stab_ros.tracking.base import (
     GyroRotation, no_gyro, TrackedOrientation, TrackingStatus)
-from sph_stab_ros.tracking.frame_to_frame.image_pair import (
+from sph_stab_ros.tracking.frame_to_frame.methods import (
     ImagePair, Method, METHODS, Sphere)
 from sph_stab_ros.tracking.motion_model import MotionModel
 

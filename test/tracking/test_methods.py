@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.warp import rotate_equirect
 from sph_stab_ros.tracking.frame_to_frame.estimators import FitStatus
-from sph_stab_ros.tracking.frame_to_frame.image_pair import ImagePair, METHODS, Sphere
+from sph_stab_ros.tracking.frame_to_frame.methods import ImagePair, METHODS, Sphere
 from sph_stab_ros.tracking.frame_to_frame.optical_flow import FLOWS, spherical_flow
 from synthetic import angle_deg, random_rotation, textured_sphere, turned_pair
 

@@ -16,8 +16,8 @@ from sph_stab_ros.config import Settings
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE, TRANSFORMS
 from sph_stab_ros.ros.cpu_meter import CpuMeter
 from sph_stab_ros.ros.diagnostics import ThrottledLog
-from sph_stab_ros.ros.image_topics import advertise, compressed_topic, is_wanted
 from sph_stab_ros.ros.messages import make, message_type
+from sph_stab_ros.ros.topics import advertise, compressed_topic, is_wanted
 from sph_stab_ros.ros.views import View
 from sph_stab_ros.stabilization.outputs import (
     COMPRESSED, fits_into_tree, orientation_outputs, Output, picture_outputs, topics,

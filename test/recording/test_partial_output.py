@@ -10,7 +10,7 @@
 
 import pytest
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.output import partial_output
+from sph_stab_ros.recording.partial_output import partial_output
 
 
 def test_an_output_appears_only_when_it_is_whole(tmp_path):
