@@ -62,6 +62,8 @@ setup(
         ],
         'test': [
             'pytest>=7.4.4,<9',
+            # Laws on random sequences.
+            'hypothesis>=6.98.15,<7',
             # For rooms and types (see pyproject.toml); the newest that run on 3.10.
             'import-linter>=2.1,<2.6',
             'mypy>=1.15,<1.19',

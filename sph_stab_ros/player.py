@@ -44,7 +44,9 @@ from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_proce
 from sph_stab_ros.config import NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
+from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
 from sph_stab_ros.ros import messages as ros_messages
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
@@ -58,6 +60,8 @@ MATCHING_S = 0.5
 LOOP_PAUSE_NS = NS_PER_S // 10
 # A subscriber that is gone must not hold up the end.
 LAST_DELIVERY_S = 2.0
+# Messages hold seconds in 31 bits.
+MAX_TIME_NS = 2**31 * NS_PER_S - 1
 
 # Times in ns and messages, in the order of time.
 TimedMessages: TypeAlias = Iterator[tuple[int, Any]]
@@ -113,30 +117,34 @@ class Player:
         Publish everything at its time, ``rate`` times as fast.
 
         Header stamps stay as recorded, and go on increasing from one loop to the next; with
-        ``now`` they are counted from the start of playing instead of that of the recording.
+        ``now`` they are counted from the start of playing instead of that of the recording. Where
+        the recorder's clock was set playing goes on after a second, and says so.
         """
         start_s = time.monotonic()
         start_ns = self._node.get_clock().now().nanoseconds
         loop_start_ns = 0
         while True:
-            first_ns, last_ns = None, 0
+            playing, is_empty = PlayingTime(), True
+            clocks = {publisher: HeaderClock() for publisher in self._publishers}
             for time_ns, publisher, msg in self._timeline():
-                if first_ns is None:
-                    first_ns = time_ns
-                # From the recording's time to the player's at the recorded rate.
-                shift_ns = loop_start_ns - first_ns
-                self._spin_for(start_s + (time_ns + shift_ns) / rate / NS_PER_S - time.monotonic())
+                is_empty = False
+                stepped_by_ns = playing.advance(time_ns)
+                if stepped_by_ns is not None:
+                    self._node.get_logger().warning(
+                        f'the times of the recording step by {duration(stepped_by_ns)}: '
+                        'it goes on in a second')
+                elapsed_ns = loop_start_ns + playing.elapsed_ns
+                self._spin_for(start_s + elapsed_ns / rate / NS_PER_S - time.monotonic())
                 if now:
-                    restamp(msg, lambda ns: start_ns + round(
-                        ((ns or time_ns) + shift_ns) / rate))
+                    restamp(msg, lambda ns: start_ns + round((loop_start_ns + clocks[
+                        publisher].elapsed_ns(ns, time_ns, playing.elapsed_ns)) / rate))
                 elif loop_start_ns:
                     # A stamp of zero means unknown and stays that.
                     restamp(msg, lambda ns: ns and ns + loop_start_ns)
                 publisher.publish(msg)
-                last_ns = time_ns
-            if not loop or first_ns is None:
+            if not loop or is_empty:
                 break
-            loop_start_ns += last_ns - first_ns + LOOP_PAUSE_NS
+            loop_start_ns += playing.elapsed_ns + LOOP_PAUSE_NS
         for publisher in self._publishers:
             publisher.wait_for_all_acked(Duration(seconds=LAST_DELIVERY_S))
 
@@ -173,9 +181,9 @@ def frame_messages(recording: Recording, images_type: type[Any],
     for frame in recording.frames():
         msg = (fill_image(Image(), frame.image) if images_type is Image
                else fill_compressed(CompressedImage(), frame.image, jpeg_quality))
-        msg.header.stamp = Time(nanoseconds=frame.stamp_ns).to_msg()
+        msg.header.stamp = time_message(frame.stamp_ns)
         msg.header.frame_id = frame.frame_id or CAMERA_FRAME
-        yield frame.stamp_ns, msg
+        yield frame.time_ns, msg
 
 
 def message_type(name: str) -> type[Any]:
@@ -203,8 +211,12 @@ def copy_fields(source: Any, target: Any) -> Any:
 def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:
     """Replace the header's stamp, where there is one, by ``new_ns(stamp in ns)``."""
     if hasattr(msg, 'header'):
-        old_ns = Time.from_msg(msg.header.stamp).nanoseconds
-        msg.header.stamp = Time(nanoseconds=new_ns(old_ns)).to_msg()
+        msg.header.stamp = time_message(new_ns(ros_messages.stamp_ns(msg.header.stamp)))
+
+
+def time_message(ns: int) -> Any:
+    """Return the message of a time, or of the nearest that a message can hold."""
+    return Time(nanoseconds=min(max(ns, 0), MAX_TIME_NS)).to_msg()
 
 
 def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:

@@ -59,7 +59,7 @@ def video_sink(path: Path, force: bool, stack: ExitStack,
     """Return a sink that writes ``picture(stabilized)`` into an MP4 file."""
     from sph_stab_ros.recording.video_writer import VideoWriter
     writer = stack.enter_context(VideoWriter(stack.enter_context(partial_output(path, force))))
-    return lambda s: writer.write(picture(s), s.stamp_ns)
+    return lambda s: writer.write(picture(s), s.frame.time_ns)
 
 
 def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:
@@ -78,7 +78,7 @@ def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> S
             say_that_tree_is_missing(s.frame.frame_id)
         for output in (*orientation_outputs(s, config, cameras),
                        *picture_outputs(s, config, cameras, raw=False)):
-            writer.write(output.topic, output.message(writer.make), s.stamp_ns)
+            writer.write(output.topic, output.message(writer.make), s.frame.time_ns)
     return write
 
 

@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.images.codec import image_from_message
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
-from tiny_recordings import IMAGE_TOPIC, PERIOD_NS, stamps_of, START_NS, textured_sphere
+from tiny_recordings import (
+    IMAGE_TOPIC, PERIOD_NS, stamps_of, START_NS, textured_sphere, write_bag)
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from geometry_msgs.msg import QuaternionStamped  # noqa: E402, I100
@@ -252,3 +253,23 @@ def test_a_message_type_that_is_not_installed_is_named(tmp_path):
     """Some robots have fewer packages than the recorder."""
     with pytest.raises(RecordingError, match='nowhere_msgs/msg/Image is not installed'):
         message_type('nowhere_msgs/msg/Image')
+
+
+def test_a_recording_whose_clock_was_set_plays_on(tmp_path):
+    """After a second, with a line; stamps stay, or are the present ones at their pace."""
+    decades_ns = 53 * 365 * 86400 * 10**9
+    stamps_ns = stamps_of(6) - START_NS + 10**9
+    stamps_ns[3:] += decades_ns
+    write_bag(tmp_path / 'bag', 6 * [IMAGE], stamps_ns)
+    for words in [], ['--now']:
+        with playing(tmp_path / 'bag', *words,
+                     topics={'image/compressed': CompressedImage}) as heard:
+            heard.wait_until(lambda: heard.process.poll() is not None)
+            status, error = heard.ending()
+        heard_ns = stamps(heard.received['image/compressed'])
+        assert status == 0 and len(error.splitlines()) == 1
+        assert 'step by' in error and '(53.0 years)' in error
+        if words:
+            assert np.diff(heard_ns).min() > 0 and heard_ns[-1] - heard_ns[0] < 2 * 10**9
+        else:
+            assert heard_ns == stamps_ns.tolist()

@@ -22,31 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.images.image_error import ImageError as ImageError
+from sph_stab_ros.images.raw import image_from_raw
 
 JPEG_QUALITY = 90
 JPEG, PNG = 'JPEG', 'PNG'
 
-# Encoding: channels, and the conversion into BGR or grey where one is needed.
-ENCODINGS: dict[str, tuple[int, int | None]] = {
-    'bgr8': (3, None),
-    'rgb8': (3, cv2.COLOR_RGB2BGR),
-    'bgra8': (4, cv2.COLOR_BGRA2BGR),
-    'rgba8': (4, cv2.COLOR_RGBA2BGR),
-    'mono8': (1, None),
-}
-
-
-class ImageError(ValueError):
-    """
-    A picture that cannot be used.
-
-    ``reason`` is one of a few fixed phrases, by which such pictures are counted; the text adds
-    what is wrong with this one.
-    """
-
-    def __init__(self, reason: str, detail: str) -> None:
-        super().__init__(f'{reason}: {detail}')
-        self.reason = reason
+# Less than a block of pixels takes, but enough for a decoder to see the end of the last one.
+BEHIND_SCAN = bytes(16)
+START_OF_SCAN, END_OF_IMAGE = b'\xff\xda', b'\xff\xd9'
+MISSING_GREY = 128
 
 
 def image_from_message(msg: Any) -> Image:
@@ -59,52 +44,57 @@ def image_from_message(msg: Any) -> Image:
     return image_from_raw(msg) if hasattr(msg, 'encoding') else image_from_compressed(msg.data)
 
 
-def image_from_raw(msg: Any) -> Image:
-    """Return the picture in an Image message; rows may be padded."""
-    if msg.encoding not in ENCODINGS:
-        raise ImageError('unknown encoding',
-                         f'{msg.encoding!r} is none of {", ".join(ENCODINGS)}')
-    channels, conversion = ENCODINGS[msg.encoding]
-    if not (msg.width and msg.height):
-        raise ImageError('zero size', f'{msg.width}x{msg.height}')
-    row_bytes = msg.width * channels
-    if msg.step < row_bytes:
-        raise ImageError('wrong step',
-                         f'{msg.step} bytes for rows of {row_bytes} ({msg.encoding})')
-    data = np.frombuffer(msg.data, np.uint8)
-    if data.size != msg.step * msg.height:
-        reason = 'truncated data' if data.size < msg.step * msg.height else 'wrong step'
-        raise ImageError(reason, f'{data.size} bytes for {msg.height} rows of {msg.step}')
-    rows = data.reshape(msg.height, msg.step)[:, :row_bytes]
-    if channels == 1:
-        return np.ascontiguousarray(rows)
-    image = np.ascontiguousarray(rows).reshape(msg.height, msg.width, channels)
-    return image if conversion is None else cv2.cvtColor(image, conversion)
-
-
 def image_from_compressed(data: Any) -> Image:
     """
     Return the picture in JPEG or PNG ``data``.
 
     A file cut short is refused; OpenCV would return it with its lower part grey.
     """
-    data = bytes(data)
-    return decoded(data, kind_of_whole_file(data))
+    return decoded(*whole_file(bytes(data)))
 
 
-def kind_of_whole_file(data: bytes) -> str:
-    """Return JPEG or PNG, whichever ``data`` (bytes) are, or raise ImageError."""
+def whole_file(data: bytes) -> tuple[bytes, str]:
+    """Return a file with its end marker, and whether it is JPEG or PNG; else raise ImageError."""
     if data.startswith(b'\xff\xd8'):
         kind = JPEG
         # Neither marker occurs within a scan, and a thumbnail precedes the last scan.
-        whole = data.rfind(b'\xff\xd9') > data.rfind(b'\xff\xda') > 0
+        scan = data.rfind(START_OF_SCAN)
+        whole = data.rfind(END_OF_IMAGE) > scan > 0
+        if not whole and scan > 0:
+            # Some cameras leave the marker out, some fill up a buffer.
+            data = data.rstrip(b'\xff')
+            padded = data.rstrip(b'\0')
+            data = padded if len(data) - len(padded) > len(BEHIND_SCAN) else data
+            whole = is_whole_scan(data, scan)
+            data += END_OF_IMAGE
     elif data.startswith(b'\x89PNG\r\n\x1a\n'):
         kind, whole = PNG, b'IEND' in data[-64:]
     else:
         raise ImageError('not JPEG or PNG', f'{len(data)} bytes of something else')
     if not whole:
         raise ImageError(f'truncated {kind}', f'{len(data)} bytes without the end marker')
-    return kind
+    return data, kind
+
+
+def is_whole_scan(data: bytes, scan: int) -> bool:
+    """
+    Tell whether all blocks of a sequential JPEG file are there, which has no end marker.
+
+    Its decoder reads a little ahead, and gives up where nothing more comes; in front of an end
+    marker it makes blocks grey that are missing. Of the last block the end may be missing.
+    """
+    if len(data) < scan + 4 or len(data) <= scan + 2 + int.from_bytes(
+            data[scan + 2:scan + 4], 'big'):
+        return False
+    if reduced(data + BEHIND_SCAN, cv2.IMREAD_REDUCED_COLOR_8) is None:
+        return False
+    image = reduced(data + END_OF_IMAGE, cv2.IMREAD_REDUCED_COLOR_2)
+    return image is not None and bool((image[-4:, -4:] != MISSING_GREY).any())
+
+
+def reduced(data: bytes, flag: int) -> Image | None:
+    """Return a smaller picture, or None where there is none."""
+    return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
 
 
 def decoded(data: bytes, kind: str, flags: int = cv2.IMREAD_ANYCOLOR) -> Image:

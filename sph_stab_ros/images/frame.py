@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from sph_stab_ros.geometry.arrays import Image
-from sph_stab_ros.images.codec import image_from_message, JPEG, kind_of_whole_file
+from sph_stab_ros.images.codec import image_from_message, JPEG, whole_file
 from sph_stab_ros.images.jpeg import JpegFile
+from sph_stab_ros.images.picture_time import PictureTime
 
 
 @dataclass(frozen=True)
@@ -24,16 +25,28 @@ class Frame:
     ``source`` is the picture, (H, W, 3) uint8 in BGR order or (H, W) uint8, which is not written
     to, or the JpegFile that holds it; which of its pixels shows what is the Projection's business,
     and whether its size fits the Stabilizer's. ``stamp_ns`` is the header's or the container's
-    time; ``frame_id`` names the camera's frame.
+    time; ``frame_id`` names the camera's frame. ``times`` is what a PictureClock made of the
+    stamp; without, the stamp is taken as it is.
     """
 
     source: Image | JpegFile
     stamp_ns: int
     frame_id: str = ''
+    times: PictureTime | None = None
+
+    @property
+    def time_ns(self) -> int:
+        """Return the time on the timeline of the pictures, in which no clock is set."""
+        return self.stamp_ns if self.times is None else self.times.time_ns
+
+    @property
+    def clock_ns(self) -> int:
+        """Return the time by the clock of the stamps, which an IMU's are of, too."""
+        return self.stamp_ns if self.times is None else self.times.clock_ns
 
     @property
     def image(self) -> Image:
-        """Return the picture, decoded when it is asked for first; ImageError where it cannot be."""
+        """Return the picture, decoded when first asked for; ImageError where it cannot be."""
         return self.source.image if isinstance(self.source, JpegFile) else self.source
 
     @property
@@ -54,14 +67,15 @@ class Frame:
                 else self.source)
 
 
-def frame_from_message(msg: Any, stamp_ns: int, frame_id: str = '') -> Frame:
+def frame_from_message(msg: Any, stamp_ns: int, frame_id: str = '',
+                       times: PictureTime | None = None) -> Frame:
     """
     Return the Frame of an Image or CompressedImage message.
 
     A JPEG file is decoded later; what is not whole is refused at once, with ImageError.
     """
     if not hasattr(msg, 'encoding'):
-        data = bytes(msg.data)
-        if kind_of_whole_file(data) == JPEG:
-            return Frame(JpegFile(data), stamp_ns, frame_id)
-    return Frame(image_from_message(msg), stamp_ns, frame_id)
+        data, kind = whole_file(bytes(msg.data))
+        if kind == JPEG:
+            return Frame(JpegFile(data), stamp_ns, frame_id, times)
+    return Frame(image_from_message(msg), stamp_ns, frame_id, times)

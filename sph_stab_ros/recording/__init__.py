@@ -14,14 +14,6 @@ from sph_stab_ros.recording.base import decoded_frames, Recording, RecordingErro
 
 __all__ = ['decoded_frames', 'open_recording', 'Recording', 'RecordingError']
 
-BAG_SUFFIXES = ('.bag', '.mcap', '.db3')
-
-
-def is_bag(path: str | Path) -> bool:
-    """Tell whether ``path`` names a bag: a folder or no suffix, ``.bag``, ``.mcap``, ``.db3``."""
-    path = Path(path)
-    return path.is_dir() or path.suffix in ('', *BAG_SUFFIXES)
-
 
 def open_recording(path: str | Path, image_topic: str | None = None) -> Recording:
     """
@@ -30,7 +22,8 @@ def open_recording(path: str | Path, image_topic: str | None = None) -> Recordin
     Parameters
     ----------
     path
-        A rosbag2 folder, ``.mcap`` or ``.db3`` file, a ROS 1 ``.bag``, or else a video file.
+        A rosbag2 folder, an MCAP or SQLite file, a ROS 1 bag, or else a video file; what it is
+        is told by its content, not by its name.
     image_topic
         Where to find the images in a bag that has several image topics.
 
@@ -39,6 +32,7 @@ def open_recording(path: str | Path, image_topic: str | None = None) -> Recordin
     if not path.exists():
         raise RecordingError(f'{path} does not exist')
     # Either library is imported only for its own kind of file.
+    from sph_stab_ros.recording.containers import is_bag
     if is_bag(path):
         from sph_stab_ros.recording.bag import BagRecording
         return BagRecording(path, image_topic)

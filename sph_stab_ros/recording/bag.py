@@ -9,53 +9,65 @@
 """Images and other messages out of rosbag2 and ROS 1 bags."""
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator
+from functools import cache
+from itertools import islice
 import logging
 from pathlib import Path
+import sys
 from typing import Any
 
-from rosbags import rosbag1, rosbag2
 from rosbags.typesys import get_typestore, Stores
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame, frame_from_message
+from sph_stab_ros.images.picture_time import Stamp
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError, SkipLog
-from sph_stab_ros.recording.salvage import SalvagedBag
+from sph_stab_ros.recording.containers import Channel, Containers
+from sph_stab_ros.recording.containers.kinds import ZSTD
+from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times
 
 logger = logging.getLogger(__name__)
 
 IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
+# How the messages in a channel are encoded: the definitions of types, and what decodes by them.
+ENCODINGS = {'cdr': (Stores.ROS2_JAZZY, 'deserialize_cdr'),
+             'ros1': (Stores.ROS1_NOETIC, 'deserialize_ros1')}
+types_of = cache(get_typestore)
+# Drivers that stamp with zero until they have the time have it by then.
+MAX_UNSTAMPED = 300
 
 
 class BagRecording:
     """
-    A rosbag2 folder, a bare ``.mcap`` or ``.db3`` file, or a ROS 1 ``.bag``.
+    A bag of either generation of ROS: a file, or a folder with its parts.
 
     Messages are decoded by ROS's own definitions of the standard types, so that neither a bag
-    without definitions nor one with unusual messages beside the images is an obstacle. A bag
-    that was cut short is read as far as it goes.
+    without definitions nor one with unusual messages beside the images is an obstacle. Of a bag
+    that was cut short or damaged all that is whole is read.
     """
 
     def __init__(self, path: Path, image_topic: str | None = None) -> None:
         self.path = path
         self.name = path.name
-        library, store, decode = ((rosbag1, Stores.ROS1_NOETIC, 'deserialize_ros1')
-                                  if path.suffix == '.bag' else
-                                  (rosbag2, Stores.ROS2_JAZZY, 'deserialize_cdr'))
-        self._types = get_typestore(store)
-        self._decode = getattr(self._types, decode)
-        # A reader of rosbags, or what stands in for one.
-        self._open: Callable[[], Any] = lambda: library.Reader(path)
-        try:
-            connections = self._connections()
-        # The readers promise no particular exception for damaged files.
-        except Exception as error:
-            connections = self._salvaged_connections(error)
-        self.topics: dict[str, str] = {c.topic: c.msgtype for c in connections}
+        self._containers = Containers(path)
         counts: Counter[str] = Counter()
-        for connection in connections:
-            counts[connection.topic] += connection.msgcount
+        self.topics: dict[str, str] = {}
+        for channel, count in self._containers.channels.items():
+            # A damaged definition may contradict a whole one.
+            if channel.topic not in self.topics or is_standard(channel.msgtype, channel.encoding):
+                self.topics[channel.topic] = channel.msgtype
+            counts[channel.topic] += count
+        if not self.topics:
+            raise RecordingError(f'{path} is not a readable bag: it holds no messages; damaged, '
+                                 'encrypted or something else')
         self._images = self._choose_image_topic(image_topic, counts)
         self.image_topic: str | None = self._images
         self.frame_count: int | None = counts[self._images]
@@ -67,74 +79,56 @@ class BagRecording:
         return self._skip_log.counts
 
     def frames(self) -> Generator[Frame, None, None]:
-        """Yield the Frames of the image topic; header stamps, or times of receipt where zero."""
+        """Yield the Frames of the image topic; header stamps, or times of receipt without any."""
         self._skip_log = SkipLog(self.name)
-        said_zero = False
-        for received_ns, msg in self.messages(self._images):
-            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
-            if stamp_ns == 0:
-                stamp_ns = received_ns
-                if not said_zero:
-                    logger.warning('%s: header stamps are zero, times of receipt are used',
-                                   self.name)
-                said_zero = True
+        first, stamped = peeked(self._stamped())
+        known = first_stamp([first[0]]) if first else None
+        if first and known is None:
+            # Only here, as it takes to read the beginning twice.
+            known = first_stamp(stamp for stamp, _ in islice(self._stamped(), MAX_UNSTAMPED))
+        for times, msg in with_times(self.name, stamped, PictureClock(first=known)):
             try:
-                frame = frame_from_message(msg, stamp_ns, msg.header.frame_id)
+                frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
             except ImageError as error:
                 self._skip_log.add(error.reason, error)
             else:
                 yield frame
 
+    def _stamped(self) -> Iterator[tuple[Stamp, Any]]:
+        """Yield the messages of the image topic with their stamps."""
+        for received_ns, msg in self.messages(self._images):
+            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
+            yield Stamp(stamp_ns or None, received_ns), msg
+
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time of receipt in ns, message) of a topic; messages of rosbags' types."""
         if topic not in self.topics:
             raise RecordingError(f'{self.path} has no topic {topic}; it has {self._listed()}')
+        for channel, received_ns, data in self._whole_part(topic):
+            try:
+                msg = decoded(data, self.topics[topic], channel.encoding)
+            # A damaged message makes the decoder fail in many ways.
+            except Exception as error:
+                self._skip_log.add('unreadable message', f'unreadable message: {error}')
+                continue
+            yield received_ns, msg
+
+    def _whole_part(self, topic: str) -> Iterator[tuple[Channel, int, bytes]]:
+        """Yield what is whole of a topic's messages, then warn if that was not all."""
         msgtype = self.topics[topic]
-        if msgtype not in self._types.types:
-            raise RecordingError(f'{topic} in {self.path} is of type {msgtype}, '
-                                 'which is not a standard one')
-        with self._open() as reader:
-            connections = [c for c in reader.connections if c.topic == topic]
-            for received_ns, data in self._whole_part(reader, connections):
-                try:
-                    msg = self._decode(data, msgtype)
-                # A damaged message makes the decoder fail in many ways.
-                except Exception as error:
-                    self._skip_log.add('unreadable message', f'unreadable message: {error}')
-                    continue
-                yield received_ns, msg
-
-    def _whole_part(
-            self, reader: Any, connections: Sequence[Any]) -> Iterator[tuple[int, bytes]]:
-        """Yield (time of receipt, data) as far as the file is whole, then warn if it was not."""
+        for channel in self._containers.channels:
+            if channel.topic == topic and not is_standard(msgtype, channel.encoding):
+                raise RecordingError(f'{topic} in {self.path} is of type {msgtype} (encoded as '
+                                     f'{channel.encoding}), which is not a standard one')
         count = 0
-        try:
-            for _, received_ns, data in reader.messages(connections=connections):
-                yield received_ns, data
-                count += 1
-            broken = getattr(reader, 'truncated', False)
-        except Exception as error:
-            logger.debug('%s: %r', self.name, error)
-            broken = True
-        if broken:
+        damage: list[str] = []
+        for message in self._containers.messages(topic, damage):
+            yield message
+            count += 1
+        if damage:
+            logger.debug('%s: %s', self.name, '; '.join(damage))
             logger.warning('%s is truncated or damaged: %d messages of %s were read',
-                           self.name, count, connections[0].topic)
-
-    def _connections(self) -> Sequence[Any]:
-        with self._open() as reader:
-            return list(reader.connections)
-
-    def _salvaged_connections(self, error: Exception) -> Sequence[Any]:
-        """Read without an index from now on, as opening the bag ended in ``error``."""
-        try:
-            salvaged = SalvagedBag(self.path)
-        except OSError as unreadable:
-            raise RecordingError(f'{self.path} cannot be read: {unreadable.strerror}') from None
-        if not salvaged.connections:
-            reason = ' '.join(str(error).split())
-            raise RecordingError(f'{self.path} is not a readable bag: {reason}') from None
-        self._open = lambda: salvaged
-        return salvaged.connections
+                           self.name, count, topic)
 
     def _choose_image_topic(self, wanted: str | None, counts: Counter[str]) -> str:
         """Return the topic to read images from, RecordingError if that is not clear."""
@@ -156,3 +150,17 @@ class BagRecording:
         """Return the topics and their types in a line."""
         return ', '.join(f'{topic} ({msgtype})' for topic, msgtype in sorted(self.topics.items())
                          ) or 'no topics'
+
+
+def is_standard(msgtype: str, encoding: str) -> bool:
+    """Tell whether ROS's own definitions are enough to decode messages of this type."""
+    return encoding in ENCODINGS and msgtype in types_of(ENCODINGS[encoding][0]).types
+
+
+def decoded(data: bytes, msgtype: str, encoding: str) -> Any:
+    """Return a message, which may be compressed by itself."""
+    store, decode = ENCODINGS[encoding]
+    # The encapsulation that CDR data begin with is never this.
+    if encoding == 'cdr' and data.startswith(ZSTD):
+        data = zstd.decompress(data)
+    return getattr(types_of(store), decode)(data, msgtype)

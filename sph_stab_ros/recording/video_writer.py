@@ -17,6 +17,8 @@ import cv2
 
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.images.picture_time import Stamp
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.video import av
 
@@ -33,8 +35,9 @@ class VideoWriter:
     """
     An MP4 file (H.264), written picture by picture; a context manager.
 
-    The times of the pictures are those given, counted from the first. All pictures are of the
-    first one's size; an odd row or column is doubled, as H.264 needs even sizes.
+    The times of the pictures are what a PictureClock makes of those given, counted from the first:
+    they increase whatever is given, and good ones stay. All pictures are of the first one's size;
+    an odd row or column is doubled, as H.264 needs even sizes.
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,6 +48,7 @@ class VideoWriter:
         # Begun with the first picture, whose size it has.
         self._stream: Any = None
         self._last_pts = -1
+        self._clock = PictureClock()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -56,25 +60,22 @@ class VideoWriter:
             self._container.close()
 
     def write(self, image: Image, stamp_ns: int) -> None:
-        """
-        Write an image, BGR or grey.
-
-        A picture that is not later than the one before is put right behind it.
-        """
+        """Write an image, BGR or grey, taken at a time."""
+        time_ns = self._clock.decide(Stamp(stamp_ns)).time_ns
         height, width = image.shape[:2]
         image = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
         if self._stream is None:
-            self._start(image, stamp_ns)
+            self._start(image, time_ns)
         elif image.shape[:2] != (self._stream.height, self._stream.width):
             image = cv2.resize(image, (self._stream.width, self._stream.height))
         picture = av.VideoFrame.from_ndarray(image, format='gray' if image.ndim == 2 else 'bgr24')
         picture.pts = self._last_pts = max(
             self._last_pts + 1,
-            round(Fraction(stamp_ns - self._first_ns, NS_PER_S) / TIME_BASE))
+            round(Fraction(time_ns - self._first_ns, NS_PER_S) / TIME_BASE))
         picture.time_base = TIME_BASE
         self._container.mux(self._stream.encode(picture))
 
-    def _start(self, image: Image, stamp_ns: int) -> None:
+    def _start(self, image: Image, time_ns: int) -> None:
         try:
             self._stream = self._container.add_stream(
                 'libx264', rate=NOMINAL_RATE, options=ENCODER_OPTIONS)
@@ -83,4 +84,4 @@ class VideoWriter:
         self._stream.height, self._stream.width = image.shape[:2]
         self._stream.pix_fmt = 'yuv420p'
         self._stream.time_base = self._stream.codec_context.time_base = TIME_BASE
-        self._first_ns = stamp_ns
+        self._first_ns = time_ns

@@ -58,6 +58,8 @@ from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import frame_from_message
+from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
+from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.ros.diagnostics import Diagnostics, LOG_PERIOD_S, ThrottledLog
 from sph_stab_ros.ros.image_topics import advertise, subscribe_to_images
 from sph_stab_ros.ros.imu_input import ImuInput
@@ -74,8 +76,6 @@ from std_srvs.srv import Trigger
 
 DIAGNOSTICS_PERIOD_S = 1.0
 SWITCH_INTERVAL_S = 0.0005
-# Stamps that jitter by less are no jump back in time.
-MAX_JITTER_S = 0.1
 
 
 class StabilizerNode(Node):
@@ -86,13 +86,12 @@ class StabilizerNode(Node):
         self._settings = self._accepted_settings = declare_parameters(self)
         config = self._settings.config
         self._stabilizer = Stabilizer(config)
-        self._last_stamp_ns = 0
+        self._picture_clock = PictureClock()
         self._reset_wanted = False
 
-        self._diagnostics = Diagnostics(self.get_fully_qualified_name(),
-                                        self.get_logger().warning)
-        self._outputs = Outputs(
-            self, self._settings, ThrottledLog(self.get_logger().warning), self._diagnostics.cpu)
+        warn = self.get_logger().warning
+        self._diagnostics = Diagnostics(self.get_fully_qualified_name(), warn)
+        self._outputs = Outputs(self, self._settings, ThrottledLog(warn), self._diagnostics.cpu)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self.create_service(Trigger, '~/level', self._on_level)
         self.create_service(Trigger, '~/look_at_home', self._on_look_at_home)
@@ -154,10 +153,9 @@ class StabilizerNode(Node):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._reset_wanted = True
-        self.get_logger().info('reset: the next image defines the stabilized frame',
-                               throttle_duration_sec=LOG_PERIOD_S)
-        return Trigger.Response(
-            success=True, message='the next image defines the stabilized frame')
+        message = 'the next image defines the stabilized frame'
+        self.get_logger().info(f'reset: {message}', throttle_duration_sec=LOG_PERIOD_S)
+        return Trigger.Response(success=True, message=message)
 
     def _on_level(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
@@ -166,14 +164,13 @@ class StabilizerNode(Node):
             self._stabilizer.level_here()
         except LevelError as error:
             return Trigger.Response(success=False, message=str(error))
-        return Trigger.Response(
-            success=True, message='the present orientation becomes level')
+        return Trigger.Response(success=True, message='the present orientation becomes level')
 
     def _on_look_at_home(
             self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._outputs.look_home()
-        return Trigger.Response(
-            success=True, message="all views look at the stabilized frame's front")
+        message = "all views look at the stabilized frame's front"
+        return Trigger.Response(success=True, message=message)
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -212,14 +209,16 @@ class StabilizerNode(Node):
     def _track(self, msg: Any, received_s: float) -> None:
         cpu = self._diagnostics.cpu
         with cpu.stage('decode'):
-            frame = frame_from_message(msg, stamp_ns(msg.header.stamp), msg.header.frame_id)
+            times = self._picture_clock.decide(
+                Stamp(stamp_ns(msg.header.stamp), round(received_s * NS_PER_S)))
+            self._judge_time(times)
+            frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
             if self._outputs.pictures_wanted:
                 frame.load()
         with cpu.stage('imu'):
             self._imu.collect()
         with cpu.stage('track'):
             self._take_over_what_is_wanted()
-            self._start_anew_where_time_went_back(frame.stamp_ns)
             stabilized = self._stabilizer.process(frame)
         pictures = self._outputs.publish_orientation(stabilized)
         self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
@@ -245,15 +244,16 @@ class StabilizerNode(Node):
             self._reset_wanted = False
         self._stabilizer.reconfigure(self._settings.config)
 
-    def _start_anew_where_time_went_back(self, time_ns: int) -> None:
-        """Reset before an image from the past: a bag begins again, a simulation was reset."""
-        back_s = (self._last_stamp_ns - time_ns) / NS_PER_S
-        self._last_stamp_ns = time_ns
-        if back_s > MAX_JITTER_S:
+    def _judge_time(self, times: PictureTime) -> None:
+        """Say what is wrong with stamps; reset where they went back for good, as in a loop."""
+        if times.event is TimeEvent.STEP_BACK:
             self._stabilizer.reset()
             self._stabilizer.forget_imu()
-            self._diagnostics.event('time_went_back', f'the stamps went back by {back_s:.3f} s, '
-                                    'reset: this image defines the stabilized frame')
+            self._diagnostics.event(
+                times.event.value, f'the stamps went back by {-times.by_ns / NS_PER_S:.3f} s, '
+                'reset: this image defines the stabilized frame')
+        elif times.event is not None:
+            self._diagnostics.event(times.event.value, told(times))
 
 
 def run(args: list[str] | None = None) -> int:

@@ -141,6 +141,7 @@ class Stabilizer:
         """Make the next frame's orientation the world's."""
         self._tracker: Tracker | None = None
         self._last: Frame | None = None
+        self._clock_ahead_ns = 0
         # The tracker's orientations count from the origin, the world is that made level.
         self._R_origin_start = Rotation.identity()
         self._R_origin_camera = Rotation.identity()
@@ -197,21 +198,21 @@ class Stabilizer:
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
             tracker = self._started()
-        self._take_in_imu(frame.stamp_ns)
+        self._take_in_imu(frame.time_ns)
         tracked = self._track(tracker, frame, self._projection)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
         self._covariance = self._in_origin(tracked.covariance)
-        R_world_origin = self._level(frame.stamp_ns)
+        R_world_origin = self._level(frame)
         R_world_camera = R_world_origin * self._R_origin_camera
         covariance = (None if self._covariance is None
                       else rotate_covariance(self._covariance, R_world_origin))
         R_world_virtual = self._smoother.update(
-            self.config.smoothing, frame.stamp_ns, R_world_camera)
+            self.config.smoothing, frame.time_ns, R_world_camera)
         self._last = frame
         return StabilizedFrame(
             frame, R_world_camera, tracked.status, events,
             covariance, R_world_virtual, self._projection,
-            self._why_no_gravity(frame.stamp_ns)
+            self._why_no_gravity(frame)
             if StabilizationEvent.NO_GRAVITY in events else '')
 
     def settle(self) -> None:
@@ -224,12 +225,12 @@ class Stabilizer:
             return
         if frame.size_wh != self._last.size_wh:
             yield StabilizationEvent.RESIZED
-        elapsed_s = (frame.stamp_ns - self._last.stamp_ns) / NS_PER_S
+        elapsed_s = (frame.time_ns - self._last.time_ns) / NS_PER_S
         if elapsed_s <= 0:
             yield StabilizationEvent.STAMP_NOT_INCREASING
         elif elapsed_s > LONG_GAP_S:
             yield StabilizationEvent.GAP
-        if self.config.level == IMU and self._gravity.age_s(frame.stamp_ns) > LONG_GAP_S:
+        if self.config.level == IMU and self._gravity.age_s(frame.clock_ns) > LONG_GAP_S:
             yield StabilizationEvent.NO_GRAVITY
 
     def _started(self) -> Tracker:
@@ -237,7 +238,7 @@ class Stabilizer:
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
         tracker = self._tracker = self._make_tracker(
-            self.config.tracker, self._working_width, self._imu.gyro_rotation)
+            self.config.tracker, self._working_width, self._gyro_rotation)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
         if self._last is not None:
@@ -251,35 +252,41 @@ class Stabilizer:
             return None
         return self._start_covariance + rotate_covariance(covariance, self._R_origin_start)
 
-    def _take_in_imu(self, stamp_ns: int) -> None:
+    def _take_in_imu(self, time_ns: int) -> None:
         rows = [self._imu_inbox.popleft() for _ in range(len(self._imu_inbox))]
         if not rows:
             return
-        self._heard_imu_ns = stamp_ns
+        self._heard_imu_ns = time_ns
         stamps_ns, forces_m_s2, rates_rad_s = map(np.array, zip(*rows))
         imu = self.config.imu
         self._imu.add(
             ImuSamples(stamps_ns, forces_m_s2, rates_rad_s),
             mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg))))
 
-    def _level(self, stamp_ns: int) -> Rotation:
+    def _level(self, frame: Frame) -> Rotation:
         """Return R_world_origin."""
         up = None
         if self.config.level == IMU:
-            self._gravity.weigh(stamp_ns, self._R_origin_camera, self._imu)
+            self._gravity.weigh(frame.clock_ns, self._R_origin_camera, self._imu)
             up = self._gravity.up
-        return self._leveler.update(stamp_ns, self._R_origin_camera, up)
+        return self._leveler.update(frame.time_ns, self._R_origin_camera, up)
 
-    def _why_no_gravity(self, stamp_ns: int) -> str:
+    def _why_no_gravity(self, frame: Frame) -> str:
         heard_ns = self._heard_imu_ns
-        if heard_ns is None or stamp_ns - heard_ns > LONG_GAP_S * NS_PER_S:
+        if heard_ns is None or frame.time_ns - heard_ns > LONG_GAP_S * NS_PER_S:
             return 'none is heard'
-        return why_no_force(stamp_ns, self._imu)
+        return why_no_force(frame.clock_ns, self._imu)
 
     def _track(
             self, tracker: Tracker, frame: Frame, projection: Projection) -> TrackedOrientation:
+        self._clock_ahead_ns = frame.clock_ns - frame.time_ns
         grey = projection.grey_sphere(frame, self._working_width)
-        return tracker.track(grey, frame.stamp_ns)
+        return tracker.track(grey, frame.time_ns)
+
+    def _gyro_rotation(self, from_ns: int, to_ns: int) -> Rotation | None:
+        """Return the turn as the gyro saw it between times of frames; its stamps are a clock's."""
+        return self._imu.gyro_rotation(
+            from_ns + self._clock_ahead_ns, to_ns + self._clock_ahead_ns)
 
 
 def view_direction(view: ViewConfig) -> Rotation:

@@ -100,7 +100,7 @@ def stabilize_recording(
     with closing(recording.frames()) as frames:
         for frame in progress(islice(frames, max_frames)):
             if imu is not None:
-                for sample in imu.until(frame.stamp_ns):
+                for sample in imu.until(frame.clock_ns):
                     stabilizer.add_imu(sample)
             try:
                 if pictures:

@@ -103,7 +103,7 @@ def jpeg_with_damaged_header():
 
 
 @pytest.mark.parametrize('message, reason', [
-    (broken(encoding='yuv422'), 'unknown encoding'),
+    (broken(encoding='32FC1'), 'unknown encoding'),
     (broken(width=0, step=0), 'zero size'),
     (broken(height=0), 'zero size'),
     (broken(step=128 * 3 - 1), 'wrong step'),

@@ -185,7 +185,8 @@ def test_parameters_that_are_the_stabilizer_s_are_told_of():
     finally:
         server.send_signal(signal.SIGINT)
         errors = server.communicate(timeout=TIMEOUT_S)[1]
-    assert "operator: there is no parameter 'level', 'mask' here; those of the stab" in errors
+    assert ("operator: there is no parameter 'level', 'mask' here; "
+            'those of the stabilizer are set at that node\n') in errors
 
 
 def test_the_port_is_taken():

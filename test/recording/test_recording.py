@@ -186,10 +186,11 @@ def test_a_damaged_message_is_left_out(tmp_path, caplog):
     """Its fields cannot even be told apart."""
     types = get_typestore(Stores.ROS2_JAZZY)
     with BagWriter(tmp_path / 'intact') as bag:
-        message = types.serialize_cdr(raw_image(bag, 1), 'sensor_msgs/msg/Image')
+        message, next_message = (types.serialize_cdr(
+            raw_image(bag, stamp_ns), 'sensor_msgs/msg/Image') for stamp_ns in (1, 2))
     with Rosbag2Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection('/image', 'sensor_msgs/msg/Image', typestore=types)
-        for received_ns, data in enumerate((message, message[:40], b'', message)):
+        for received_ns, data in enumerate((message, message[:40], b'', next_message)):
             writer.write(connection, received_ns, data)
     recording = open_recording(tmp_path / 'bag')
     assert len(list(recording.frames())) == 2

@@ -319,9 +319,11 @@ def test_strange_streams_are_noticed(tmp_path):
         peer.stabilize(small, second_ns)
         peer.stabilize(small, first_ns)
         peer.stabilize(large, third_ns)
-        peer.stabilize(large, third_ns + 10**10)
+        # A pause is one to the stamps and to who receives them.
+        time.sleep(0.8)
+        peer.stabilize(large, third_ns + 3 * 10**9 // 2)
         black = np.zeros_like(large)
-        peer.stabilize(black, third_ns + 10**10 + 10**7)
+        peer.stabilize(black, third_ns + 3 * 10**9 // 2 + 10**7)
         counted = peer.diagnostics(lambda values: values['frames'] == '5')
     assert counted['frames: ok'] == '4'
     assert [counted.get(f'notice: {name}') for name in (

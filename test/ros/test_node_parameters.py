@@ -56,8 +56,8 @@ def test_changes_take_effect_at_the_next_image(tmp_path):
     R_world_camera = R_world_camera[0].inv() * R_world_camera
     with stabilizer(tmp_path, topics=(
             'orientation', 'view/image', 'view/camera_info', 'view/image/compressed')) as peer:
-        for i, stamp_ns in enumerate(stamps_of(4)):
-            peer.stabilize(images[i], stamp_ns)
+        for image, time_ns in zip(images, stamps_of(4)):
+            peer.stabilize(image, time_ns)
         large = len(peer.received['view/image/compressed'][-1].data)
 
         assert not any(peer.set_parameters(
@@ -71,8 +71,8 @@ def test_changes_take_effect_at_the_next_image(tmp_path):
 
         # Another estimator takes over in the orientation reached.
         assert peer.set_parameters(estimator='pts', working_width=256) == ['', '']
-        for i, stamp_ns in zip(range(3, 8), stamps_of(10)[5:]):
-            R = peer.stabilize(images[i], stamp_ns)
+        for i, time_ns in zip(range(3, 8), stamps_of(10)[5:]):
+            R = peer.stabilize(images[i], time_ns)
             assert angle_deg(R, R_world_camera[i]) < 0.5
         assert peer.get_parameters('estimator', 'view.width') == ['pts', 200]
 

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored import landmark_map
 from sph_stab_ros.tracking.anchored.body_mask import BodyMask
+from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import TrackingStatus
 from synthetic import angle_deg, random_rotation
@@ -139,6 +140,16 @@ def test_large_steps_are_followed_by_features():
     """By 25 degrees and a tenth of the room from picture to picture, nothing of it expected."""
     R, p = flight(8, step_deg=(2., 24., -4.), step=(0.2, 0.03, 0.1))
     results = tracked((room(*one, width=2 * WIDTH) for one in zip(R, p - p[3])),
+                      AnchoredTracker(2 * WIDTH))
+    assert {one.status for one in results} == {TrackingStatus.OK}
+    assert errors_deg(results, R).max() < 0.5
+
+
+def test_features_do_for_the_first_step_too(monkeypatch):
+    """Where landmarks are not found from one picture to the next before parallax has told."""
+    monkeypatch.setattr(MapInitializer, 'localize', lambda *_: None)
+    R, p = flight(4, step_deg=(2., 24., -4.), step=(0.2, 0.03, 0.1))
+    results = tracked((room(*one, width=2 * WIDTH) for one in zip(R, p)),
                       AnchoredTracker(2 * WIDTH))
     assert {one.status for one in results} == {TrackingStatus.OK}
     assert errors_deg(results, R).max() < 0.5

@@ -21,6 +21,7 @@ from sph_stab_ros.tracking.anchored.landmarks import Landmarks, Observations
 from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
 from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, PatchStore
 from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
+from sph_stab_ros.tracking.frame_to_frame.features import detect, Features
 
 MAX_LANDMARKS = 600
 MIN_DISTANCE_PX = 7
@@ -60,11 +61,18 @@ class Keyframe:
     jpeg: np.ndarray
     thumbnail: Thumbnail
     observations: Observations
+    _features: Features | None = None
 
     @property
     def grey(self):
         """Return the camera's sphere (H, W) uint8."""
         return cv2.imdecode(self.jpeg, cv2.IMREAD_GRAYSCALE)
+
+    def features(self, used):
+        """Return the A-KAZE Features in the pixels ``used``; found once, in some 50 ms."""
+        if self._features is None:
+            self._features = detect(self.grey, used)
+        return self._features
 
 
 @dataclass

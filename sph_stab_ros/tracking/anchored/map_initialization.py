@@ -60,8 +60,9 @@ class MapInitializer:
         self._map = landmark_map
         self._sigma_per_s, self._min_sigma = position_sigma_per_s, min_position_sigma
         self._first_ns = None
-        # Orientation by the pose that counted before, to tell how far another one differs.
-        self.R_world_continued = None
+        # Orientation by the pose that counted before, to tell how far another one differs; None
+        # where the last frame was not localized here.
+        self.R_world_continued: Rotation | None = None
         # Where each landmark was last seen or, if it was missed since, would be if it were far.
         self._y = landmark_map.landmarks.x.copy()
         # R_last_key and the position in that camera of each, the one that counted first.
@@ -74,6 +75,7 @@ class MapInitializer:
 
         ``R_camera_last`` is a guess.
         """
+        self.R_world_continued = None
         self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
         sigma = max(self._sigma_per_s * (stamp_ns - self._first_ns) / NS_PER_S, self._min_sigma)
         R_world_key = rotation_from_matrix(self._map.keyframes[0].R)

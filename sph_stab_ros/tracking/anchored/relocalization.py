@@ -78,7 +78,7 @@ class Relocalizer:
         keyframe = self._untried.pop()
         if self._features is None:
             self._features = detect(self._grey, self._used)
-        pairs = match(detect(keyframe.grey, self._used), self._features)
+        pairs = match(keyframe.features(self._used), self._features)
         estimate = fit_essential(pairs)
         if estimate is None:
             return None

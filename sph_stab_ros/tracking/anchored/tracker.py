@@ -245,7 +245,7 @@ class AnchoredTracker:
                             + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
                             + self._map.lenses.covariance(
                                 R_world_first.inv() * R_world_camera))
-        if self._initializer is not None:
+        if self._initializer is not None and self._initializer.R_world_continued is not None:
             # When another pose counts than did before, the picture follows smoothly.
             self._correction.hide(self._initializer.R_world_continued, R_world_camera)
         self._correction.step()

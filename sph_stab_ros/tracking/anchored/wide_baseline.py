@@ -39,7 +39,7 @@ def locate_widely(landmark_map, grey, pyramid, used, position_sigma, is_usable, 
     A-KAZE features give the turn, by an essential matrix, and where landmarks will about be.
     """
     keyframe = landmark_map.keyframes[-1]
-    pairs = match(detect(keyframe.grey, used), detect(grey, used))
+    pairs = match(keyframe.features(used), detect(grey, used))
     estimate = fit_essential(pairs)
     if estimate is None:
         return None
