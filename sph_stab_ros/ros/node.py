@@ -208,6 +208,7 @@ class StabilizerNode(Node):
 
     def _track(self, msg: Any, received_s: float) -> None:
         cpu = self._diagnostics.cpu
+        self._take_over_what_is_wanted()
         with cpu.stage('decode'):
             times = self._picture_clock.decide(
                 Stamp(stamp_ns(msg.header.stamp), round(received_s * NS_PER_S)))
@@ -218,7 +219,6 @@ class StabilizerNode(Node):
         with cpu.stage('imu'):
             self._imu.collect()
         with cpu.stage('track'):
-            self._take_over_what_is_wanted()
             stabilized = self._stabilizer.process(frame)
         pictures = self._outputs.publish_orientation(stabilized)
         self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
@@ -240,6 +240,7 @@ class StabilizerNode(Node):
     def _take_over_what_is_wanted(self) -> None:
         if self._reset_wanted:
             self._stabilizer.reset()
+            self._picture_clock = PictureClock()
             # Only now: until then there is nothing that ~/level could mean.
             self._reset_wanted = False
         self._stabilizer.reconfigure(self._settings.config)

@@ -198,7 +198,7 @@ class Stabilizer:
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
             tracker = self._started()
-        self._take_in_imu(frame.clock_ns)
+        self._take_in_imu(frame.time_ns)
         tracked = self._track(tracker, frame, self._projection)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
         self._covariance = self._in_origin(tracked.covariance)
@@ -212,7 +212,7 @@ class Stabilizer:
         return StabilizedFrame(
             frame, R_world_camera, tracked.status, events,
             covariance, R_world_virtual, self._projection,
-            self._why_no_gravity(frame.clock_ns)
+            self._why_no_gravity(frame)
             if StabilizationEvent.NO_GRAVITY in events else '')
 
     def settle(self) -> None:
@@ -252,11 +252,11 @@ class Stabilizer:
             return None
         return self._start_covariance + rotate_covariance(covariance, self._R_origin_start)
 
-    def _take_in_imu(self, stamp_ns: int) -> None:
+    def _take_in_imu(self, time_ns: int) -> None:
         rows = [self._imu_inbox.popleft() for _ in range(len(self._imu_inbox))]
         if not rows:
             return
-        self._heard_imu_ns = stamp_ns
+        self._heard_imu_ns = time_ns
         stamps_ns, forces_m_s2, rates_rad_s = map(np.array, zip(*rows))
         imu = self.config.imu
         self._imu.add(
@@ -271,11 +271,11 @@ class Stabilizer:
             up = self._gravity.up
         return self._leveler.update(frame.time_ns, self._R_origin_camera, up)
 
-    def _why_no_gravity(self, stamp_ns: int) -> str:
+    def _why_no_gravity(self, frame: Frame) -> str:
         heard_ns = self._heard_imu_ns
-        if heard_ns is None or stamp_ns - heard_ns > LONG_GAP_S * NS_PER_S:
+        if heard_ns is None or frame.time_ns - heard_ns > LONG_GAP_S * NS_PER_S:
             return 'none is heard'
-        return why_no_force(stamp_ns, self._imu)
+        return why_no_force(frame.clock_ns, self._imu)
 
     def _track(
             self, tracker: Tracker, frame: Frame, projection: Projection) -> TrackedOrientation:

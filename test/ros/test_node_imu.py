@@ -125,11 +125,20 @@ def test_when_time_goes_back_the_level_is_that_of_the_new_time(peer, back_s):
     assert angle_deg(peer.stabilize(seen(before), start_ns), heading(before).inv() * before) < 0.01
     rested(peer, before, start_ns + PERIOD_NS, seconds=0.02)
     back_ns = start_ns - round(back_s * NS_PER_S)
+    believed(peer, after, back_ns)
     rested(peer, after, back_ns)
     R_world_camera = peer.stabilize(seen(after), back_ns)
     assert angle_deg(R_world_camera, heading(after).inv() * after) < 0.01
     # Back among what was felt; of the new time nothing was yet.
-    assert peer.stabilize(seen(after), back_ns - NS_PER_S // 7).magnitude() < 1e-9
+    back_ns -= NS_PER_S // 7
+    believed(peer, after, back_ns)
+    assert peer.stabilize(seen(after), back_ns).magnitude() < 1e-9
+
+
+def believed(peer, R_level_camera, time_ns):
+    """Show two pictures before a time from the past, which the third in a row makes believed."""
+    for i in (2, 1):
+        peer.stabilize(seen(R_level_camera), time_ns - i * PERIOD_NS)
 
 
 def samples_heard(peer):
