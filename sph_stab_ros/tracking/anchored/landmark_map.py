@@ -35,9 +35,9 @@ MAX_INFORMATION = 1e5
 # half.
 TRUSTED_INFORMATION = 0.5
 # Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks.
-ADJUSTED_KEYFRAMES = 6
+ADJUSTED_KEYFRAMES = 20
 FIXED_KEYFRAMES = 10
-MAX_KEYFRAMES = 48
+MAX_KEYFRAMES, RECENT_KEYFRAMES = 48, 6
 # A landmark whose observations are trusted less than this on average is none.
 MIN_TRUST = 0.15
 # When the lenses are known better by so much, all keyframes are adjusted anew.
@@ -257,7 +257,7 @@ class LandmarkMap:
             return
         # The world's and those being adjusted stay. Of the others one goes that has another one
         # near.
-        old = self.keyframes[1:-ADJUSTED_KEYFRAMES]
+        old = self.keyframes[1:-RECENT_KEYFRAMES]
         positions = np.array([one.position for one in old])
         distance = np.linalg.norm(positions[:, None] - positions, axis=2)
         distance[np.diag_indices_from(distance)] = np.inf

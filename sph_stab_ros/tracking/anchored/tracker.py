@@ -190,7 +190,7 @@ class AnchoredTracker:
         self._map = LandmarkMap()
         self._motion.reset(stamp_ns)
         self._R_out_world = Rotation.identity()
-        self._visible.still.update(frame.small, None)
+        self._visible.update(frame.small, None)
         self._thumbnail = frame.thumbnail
         self._map.add_keyframe(
             self._motion.R_world_camera, self._motion.position, self._covariance, frame.grey,
@@ -259,7 +259,7 @@ class AnchoredTracker:
         """Make this frame the last one that showed something."""
         pose, R_world_camera = localization.pose, localization.R_world_camera
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
-        self._visible.still.update(frame.small, step.inv())
+        self._visible.update(frame.small, step.inv())
         self._thumbnail = frame.thumbnail
         self._scale += SCALE_RATE * (localization.pose.scale - self._scale)
         R_world_first = rotation_from_matrix(self._map.keyframes[0].R)
