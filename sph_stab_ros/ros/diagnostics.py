@@ -53,6 +53,7 @@ class Diagnostics:
         self._status = None
         self._gravity_is_known = True
         self._uncertainty_rad = self._keyframes = self._still_pixels = None
+        self._lens_misalignment = None
         self._start_period()
 
     def count_frame(self, stabilized, tracker=None):
@@ -66,6 +67,7 @@ class Diagnostics:
             self._uncertainty_rad = stabilized.uncertainty_rad
             self._keyframes = getattr(tracker, 'keyframes_kept', None)
             self._still_pixels = getattr(tracker, 'body_mask', None)
+            self._lens_misalignment = getattr(tracker, 'lens_misalignment', None)
         for event in stabilized.events:
             self.event(event.name.lower(), event.value)
         if stabilized.status is not TrackingStatus.OK:
@@ -140,6 +142,11 @@ class Diagnostics:
             values['keyframes'] = self._keyframes
         if self._still_pixels is not None:
             values['still_percent'] = f'{100 * share_of_sphere(self._still_pixels):.1f}'
+        if self._lens_misalignment is not None:
+            apart, covariance = self._lens_misalignment
+            values['lens_misalignment_deg'] = ' '.join(f'{one:.3f}' for one in np.rad2deg(apart))
+            values['lens_misalignment_sigma_deg'] = ' '.join(
+                f'{one:.3f}' for one in np.rad2deg(np.sqrt(np.diag(covariance))))
         return values
 
     def _of_imu(self, elapsed_s):

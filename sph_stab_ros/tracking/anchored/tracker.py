@@ -112,6 +112,11 @@ class AnchoredTracker:
         return self._visible.still.mask
 
     @property
+    def lens_misalignment(self):
+        """Rotation vector (3,) between a stitched picture's halves, and its covariance (3, 3)."""
+        return self._map.lenses.apart, self._map.lenses.apart_covariance
+
+    @property
     def keyframes_kept(self):
         """Return the number of keyframes in the map."""
         return len(self._map.keyframes)
