@@ -17,7 +17,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 import numpy as np
 
-from sph_stab_ros.geometry.arrays import Mask
+from sph_stab_ros.geometry.arrays import Covariance, Mask, Vector
 from sph_stab_ros.geometry.masks import share_of_sphere
 from sph_stab_ros.ros.cpu_meter import CpuMeter
 from sph_stab_ros.stabilization.pipeline import StabilizationEvent, StabilizedFrame
@@ -60,6 +60,8 @@ class Diagnostics:
         self._uncertainty_rad: float | None = None
         self._keyframes: int | None = None
         self._still_pixels: Mask | None = None
+        # The rotation vector in radians, and its covariance.
+        self._lens_misalignment: tuple[Vector, Covariance] | None = None
         self._last_refusal: str | None = None
         self._start_period()
 
@@ -77,6 +79,7 @@ class Diagnostics:
             self._uncertainty_rad = stabilized.uncertainty_rad
             self._keyframes = getattr(tracker, 'keyframes_kept', None)
             self._still_pixels = getattr(tracker, 'body_mask', None)
+            self._lens_misalignment = getattr(tracker, 'lens_misalignment', None)
         for event in stabilized.events:
             self.event(event.name.lower(), self._no_gravity
                        if event is StabilizationEvent.NO_GRAVITY else event.value)
@@ -158,6 +161,11 @@ class Diagnostics:
             values['keyframes'] = self._keyframes
         if self._still_pixels is not None:
             values['still_percent'] = f'{100 * share_of_sphere(self._still_pixels):.1f}'
+        if self._lens_misalignment is not None:
+            apart, covariance = self._lens_misalignment
+            values['lens_misalignment_deg'] = ' '.join(f'{one:.3f}' for one in np.rad2deg(apart))
+            values['lens_misalignment_sigma_deg'] = ' '.join(
+                f'{one:.3f}' for one in np.rad2deg(np.sqrt(np.diag(covariance))))
         return values
 
     def _of_imu(self, elapsed_s: float) -> dict[str, Any]:

@@ -86,8 +86,7 @@ class StabilizerNode(Node):
         self._settings = self._accepted_settings = declare_parameters(self)
         config = self._settings.config
         self._stabilizer = Stabilizer(config)
-        self._picture_clock = PictureClock()
-        self._reset_wanted = False
+        self._picture_clock, self._reset_wanted = PictureClock(), False
 
         warn = self.get_logger().warning
         self._diagnostics = Diagnostics(self.get_fully_qualified_name(), warn)

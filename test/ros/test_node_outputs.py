@@ -59,6 +59,11 @@ def test_covariances_and_diagnostics_are_those_of_the_estimator(tmp_path):
                           np.rad2deg(expected[-1].uncertainty_rad), atol=1e-3)
         assert int(said['keyframes']) == offline.tracker.keyframes_kept >= 1
         assert 0 <= float(said['still_percent']) <= 100
+        misalignment, covariance = offline.tracker.lens_misalignment
+        assert np.allclose(np.float64(said['lens_misalignment_deg'].split()),
+                           np.rad2deg(misalignment), atol=1e-3)
+        assert np.allclose(np.float64(said['lens_misalignment_sigma_deg'].split()),
+                           np.rad2deg(np.sqrt(np.diag(covariance))), atol=1e-3)
         assert min(float(said[stage]) for stage in STAGES) >= 0
         assert float(said['cpu_percent: total']) > 0
 
@@ -70,7 +75,8 @@ def test_covariances_and_diagnostics_are_those_of_the_estimator(tmp_path):
             peer.wait_until(lambda: stamp_ns(peer.received['orientation'][-1]) == ns)
         said = peer.diagnostics(lambda values: values['frames'] == '10')
         assert len(poses) == count
-        assert not {'uncertainty_deg', 'keyframes', 'still_percent'} & said.keys()
+        assert not {'uncertainty_deg', 'keyframes', 'still_percent',
+                    'lens_misalignment_deg'} & said.keys()
 
 
 def test_pictures_cost_nothing_while_nobody_subscribes(tmp_path):

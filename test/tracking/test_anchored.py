@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored import landmark_map
-from sph_stab_ros.tracking.anchored.body_mask import BodyMask
+from sph_stab_ros.tracking.anchored.body_mask import BodyMask, VisibleWorld
 from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import TrackingStatus
@@ -199,6 +199,21 @@ def test_the_body_of_the_robot_is_found_and_left_out():
     assert errors_deg(results, R).max() < 0.25
     assert tracker.body_mask[65:78].mean() > 0.5
     assert tracker.body_mask[10:40].mean() < 0.05
+
+
+def test_nothing_is_looked_for_where_no_lens_shows_anything():
+    R, p = flight(10)
+    shown = np.zeros((WIDTH // 2, WIDTH), bool)
+    shown[:, WIDTH // 4:3 * WIDTH // 4] = True
+    black_beside = [np.where(shown, room(*pose), 0).astype(np.uint8) for pose in zip(R, p)]
+    results = tracked(black_beside)
+    assert all(result.status is TrackingStatus.OK for result in results)
+    assert errors_deg(results, R).max() < 0.1
+    world = VisibleWorld()
+    world.update(black_beside[0], None)
+    seen = cv2.resize(np.uint8(world.pixels()), (WIDTH, WIDTH // 2)) > 0
+    assert not (seen & ~shown).any()
+    assert seen.mean() > 0.8 * shown.mean()
 
 
 def test_masked_pixels_do_not_matter():

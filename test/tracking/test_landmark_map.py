@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.equirect import pixels_from_bearings
 from sph_stab_ros.tracking.anchored.landmark_map import (
-    ADJUSTED_KEYFRAMES, LandmarkMap, MAX_KEYFRAMES, MAX_LANDMARKS, MIN_DISTANCE_PX)
+    ADJUSTED_KEYFRAMES, LandmarkMap, MAX_KEYFRAMES, MAX_LANDMARKS, MIN_DISTANCE_PX,
+    RECENT_KEYFRAMES)
 from sph_stab_ros.tracking.anchored.landmarks import inlier_mask, Landmarks, Observations
 from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import CAUCHY
@@ -192,7 +193,7 @@ def test_the_map_stays_small_and_keeps_its_first_and_last_keyframes():
         ids = [one.number for one in landmark_map.keyframes]
         assert len(ids) == min(i + 1, MAX_KEYFRAMES)
         assert ids[0] == 0
-        assert ids[-ADJUSTED_KEYFRAMES:] == list(range(i + 1))[-ADJUSTED_KEYFRAMES:]
+        assert ids[-RECENT_KEYFRAMES:] == list(range(i + 1))[-RECENT_KEYFRAMES:]
         assert ids == sorted(set(ids))
     # With the keyframes go the landmarks that they host, and no others.
     np.testing.assert_array_equal(landmark_map.landmarks.host, np.repeat(ids, 2))

@@ -27,6 +27,10 @@ MAX_EVIDENCE = 3.0
 MEMORY = 0.98
 # After a smaller step nothing is to be seen, after a larger one, of two pixels, not this.
 MIN_STEP_RAD, MAX_STEP_RAD = np.deg2rad((0.1, 4.5))
+# What has never been brighter, over so many pixels in either direction, shows nothing; nor is what
+# is nearer to it than half a patch a landmark, because it would keep to the edge.
+BLACK_GREY = 10
+MIN_BLACK_PX, PATCH_PX = 9, 7
 
 
 class BodyMask:
@@ -65,27 +69,44 @@ class BodyMask:
 
 
 class VisibleWorld:
-    """Where a camera sees the world: ``used`` (H, W) bool, or everywhere, but for BodyMask."""
+    """
+    Where a camera sees the world.
+
+    ``used`` (H, W) bool, or everywhere, but for BodyMask and where the picture has always been
+    black: what no lens shows.
+    """
 
     def __init__(self, used=None):
         self.still = BodyMask()
         self._used = used
+        self._brightest = np.zeros(self.still.mask.shape, np.uint8)
+        self._hidden = np.zeros_like(self.still.mask)
+
+    def update(self, grey, R_current_previous):
+        """Take in the next grey sphere (H, W); without a rotation it is the first one."""
+        self.still.update(grey, R_current_previous)
+        small = cv2.resize(grey, self.still.mask.shape[::-1], interpolation=cv2.INTER_AREA)
+        self._brightest = np.maximum(self._brightest, small)
+        black = pad_sphere(np.uint8(self._brightest <= BLACK_GREY), MIN_BLACK_PX)
+        black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((MIN_BLACK_PX,) * 2, np.uint8))
+        black = cv2.dilate(black, np.ones((PATCH_PX,) * 2, np.uint8))
+        inside = slice(MIN_BLACK_PX, -MIN_BLACK_PX)
+        self._hidden = self.still.mask | (black[inside, inside] > 0)
 
     def shows(self, bearings):
         """Tell along which bearings (N, 3) of the camera the world is to be seen."""
-        shown = ~_read(self.still.mask, bearings)
+        shown = ~_read(self._hidden, bearings)
         if self._used is not None:
             shown &= _read(self._used, bearings)
         return shown
 
     def pixels(self):
         """Return which pixels of a sphere show the world, (H, W) bool of whatever size."""
-        still = self.still.mask
         if self._used is None:
-            return ~still
+            return ~self._hidden
         rows, columns = (np.arange(size) * of // size
-                         for size, of in zip(self._used.shape, still.shape))
-        return self._used & ~still[np.ix_(rows, columns)]
+                         for size, of in zip(self._used.shape, self._hidden.shape))
+        return self._used & ~self._hidden[np.ix_(rows, columns)]
 
 
 def _read(mask, bearings):

@@ -83,11 +83,10 @@ def adjust(window, keep_distance=False):
     """
     Return the Adjusted window: robust least squares by Levenberg–Marquardt.
 
-    With ``keep_distance`` the last keyframe stays as far from the origin as it is: the unit of
-    length, where nothing else sets it.
+    With ``keep_distance`` the free keyframe farthest from the origin stays as far from it: the
+    unit of length, where nothing else sets it. The last one may have come back to the origin.
     """
-    distance = np.linalg.norm(window.p[-1])
-    kept_along = window.p[-1] / distance if keep_distance and distance > 0 else None
+    kept_along = _farthest(window) if keep_distance else None
     R, p, rho = window.R, window.p, window.inverse_depths
     damping = FIRST_DAMPING
     sizes = residual_lengths(window, R, p, rho)
@@ -157,13 +156,13 @@ def normal_equations(window, R, p, rho, sizes, kept_along=None):
     Return the Equations of residuals of such sizes (M,), weighted by them.
 
     ``W db = M dz`` with ``dz = ω_h × x − ω_k × z − ρ (dp_k − dp_h) − q dρ``, all in the world. The
-    last keyframe does not move along the unit vector ``kept_along`` (3,), if given.
+    free keyframes do not move along the unit vector ``kept_along`` (6F,), if given.
     """
     scale = np.clip(np.median(sizes) / MEDIAN_2D, MIN_SCALE, MAX_SCALE)
     weights = cauchy_weights(sizes, scale)
     H, g, H_rp, H_rr, g_r = pose_and_point_equations(window, R, p, rho, weights / scale ** 2)
     if kept_along is not None:
-        H[-3:, -3:] += GAUGE_INFORMATION * np.outer(kept_along, kept_along)
+        H += GAUGE_INFORMATION * np.outer(kept_along, kept_along)
     return Equations(H, g, H_rp, window.information + H_rr,
                      g_r + window.information * (rho - window.inverse_depths), weights, scale)
 
@@ -224,6 +223,16 @@ def _rays(window, R, p, rho, host):
     x = np.einsum('mij,mj->mi', R[host], window.x[window.point])
     q = p[window.keyframe] - p[host]
     return x, q, x - rho[window.point, None] * q
+
+
+def _farthest(window):
+    """Return the unit vector (6F,) along which the farthest free keyframe leaves the origin."""
+    p = window.p[window.free]
+    distances = np.linalg.norm(p, axis=1)
+    farthest = np.argmax(distances)
+    along = np.zeros((len(p), 6))
+    along[farthest, 3:] = p[farthest] / max(distances[farthest], 1e-9)
+    return along.ravel()
 
 
 def _cost(window, rho, sizes, scale):

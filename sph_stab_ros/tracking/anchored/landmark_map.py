@@ -34,16 +34,17 @@ MAX_INFORMATION = 1e5
 # Errors of observations are alike from keyframe to keyframe: what they tell about depths counts
 # half.
 TRUSTED_INFORMATION = 0.5
-# Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks.
-ADJUSTED_KEYFRAMES = 6
+# Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks. With
+# fewer a narrow view drifts twice as fast.
+ADJUSTED_KEYFRAMES = 20
 FIXED_KEYFRAMES = 10
-MAX_KEYFRAMES = 48
+MAX_KEYFRAMES, RECENT_KEYFRAMES = 48, 6
 # A landmark whose observations are trusted less than this on average is none.
 MIN_TRUST = 0.15
 # When the lenses are known better by so much, all keyframes are adjusted anew.
 LENSES_CHANGED_RAD = np.deg2rad(0.03)
-# The window's covariance takes observations for independent, which they are not.
-COVARIANCE_INFLATION = 4.0
+# The window's covariance takes observations for independent. Calibrated on simulated flights.
+COVARIANCE_INFLATION = 6.0
 
 
 @dataclass
@@ -224,9 +225,8 @@ class LandmarkMap:
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""
         if len(self.keyframes) <= MAX_KEYFRAMES:
             return
-        # The world's and those being adjusted stay. Of the others one goes that has another one
-        # near.
-        old = self.keyframes[1:-ADJUSTED_KEYFRAMES]
+        # The world's and the newest stay. Of the others one goes that has another one near.
+        old = self.keyframes[1:-RECENT_KEYFRAMES]
         positions = np.array([one.position for one in old])
         distance = np.linalg.norm(positions[:, None] - positions, axis=2)
         distance[np.diag_indices_from(distance)] = np.inf

@@ -31,8 +31,9 @@ SHARE, MEMORY = 0.02, 0.95
 # Where this much, of about chi², speaks against nothing being wrong, it is believed that something
 # is; without a stitch error up to 3 was seen, with 0.3° up to 200.
 SIGNIFICANT = 4.0
-# How much of that knowledge is trusted in the covariance; calibrated on simulated flights.
-TRUST = 0.05
+# How much of that knowledge is trusted in the covariance, and what is taken to be usual without;
+# calibrated on simulated flights.
+TRUST, USUAL_RAD = 0.05, np.deg2rad(0.1)
 # A rotation fitted to both halves errs by half, and more where one of them shows more.
 INFLUENCE = 0.7
 
@@ -56,15 +57,19 @@ class Lenses:
         self.apart = max(0., 1 - SIGNIFICANT / significance) * likely
         return self.apart - before
 
+    @property
+    def apart_covariance(self):
+        """Return the covariance (3, 3) of ``apart`` in rad²."""
+        return np.linalg.inv(TRUST * self._information + np.eye(3) / USUAL_RAD ** 2)
+
     def covariance(self, R_first_camera):
         """
         Return how uncertain an orientation is because of them: (3, 3) in rad².
 
         It grows with the turn since the first keyframe, in which they are part of the world.
         """
-        unknown = np.linalg.inv(TRUST * self._information + np.eye(3) / SIGMA_RAD ** 2)
         D = R_first_camera.as_matrix() - np.eye(3)
-        return INFLUENCE ** 2 * np.trace(D @ unknown @ D.T) / 3 * np.eye(3)
+        return INFLUENCE ** 2 * np.trace(D @ self.apart_covariance @ D.T) / 3 * np.eye(3)
 
     def as_seen(self, bearings):
         """Return where in the picture bearings (N, 3) are to be seen."""

@@ -37,8 +37,8 @@ MIN_DISTANCE, MAX_DISTANCE = 0.4, 3.0
 # What remains of a landmark's error, its own shape above all, does not shrink with finer pixels.
 MAX_PX_PER_RAD = 640 / (2 * np.pi)
 # A pose that holds in fewer of the places is none: right ones were seen from 0.69 on, among four
-# walkers, wrong ones up to 0.46.
-MIN_AGREEMENT = 0.55
+# walkers, wrong ones up to 0.59, among pictures that are 20° apart.
+MIN_AGREEMENT = 0.63
 # A prediction that was off by more is taken up and the search made anew.
 GOOD_PREDICTION_RAD = np.deg2rad(0.5)
 MAX_ATTEMPTS = 3

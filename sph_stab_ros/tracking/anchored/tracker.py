@@ -92,6 +92,11 @@ class AnchoredTracker:
         return self._visible.still.mask
 
     @property
+    def lens_misalignment(self):
+        """Rotation vector (3,) between a stitched picture's halves, and its covariance (3, 3)."""
+        return self._map.lenses.apart, self._map.lenses.apart_covariance
+
+    @property
     def keyframes_kept(self):
         """Return the number of keyframes in the map."""
         return len(self._map.keyframes)
@@ -110,9 +115,9 @@ class AnchoredTracker:
         if not self._map.keyframes:
             self._start_map(frame, stamp_ns)
         else:
-            localization = (self._locate(frame, stamp_ns)
-                            or self._relocalize_nearby(frame, stamp_ns)
-                            or self._locate_widely(frame))
+            localization = None if self._map.landmarks is None else (
+                self._locate(frame, stamp_ns) or self._relocalize_nearby(frame, stamp_ns)
+                or self._locate_widely(frame))
             if localization is None:
                 held = self._predicted(stamp_ns)
                 if held.status is TrackingStatus.LOST:
@@ -170,7 +175,7 @@ class AnchoredTracker:
         self._map = LandmarkMap()
         self._motion.reset(stamp_ns)
         self._correction.reset()
-        self._visible.still.update(frame.small, None)
+        self._visible.update(frame.small, None)
         self._thumbnail = frame.thumbnail
         self._map.add_keyframe(
             self._motion.R_world_camera, self._motion.position, self._covariance, frame.grey,
@@ -183,8 +188,6 @@ class AnchoredTracker:
 
     def _locate(self, frame, stamp_ns):
         """Return the Localization near where the camera is expected, None without."""
-        if self._map.landmarks is None:
-            return None
         motion = self._motion
         R_camera_last = align_thumbnails(
             self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
@@ -200,16 +203,12 @@ class AnchoredTracker:
 
     def _locate_widely(self, frame):
         """Return the Localization somewhere near the last keyframe, None without."""
-        if self._map.landmarks is None:
-            return None
         return locate_widely(
             self._map, frame.grey, frame.pyramid, self._used_pixels(frame), POSITION_SIGMA_PER_S,
             self._visible.shows, DOUBTFUL * self._scale)
 
     def _relocalize_nearby(self, frame, stamp_ns):
         """Return the Localization near one of the last keyframes, whatever the camera has done."""
-        if self._map.landmarks is None:
-            return None
         landmarks = self._map.landmarks
         for keyframe, R_camera_key in likely_turns(
                 self._map.keyframes[-MAX_CANDIDATES:], frame.thumbnail)[:MAX_ATTEMPTS]:
@@ -237,7 +236,7 @@ class AnchoredTracker:
         """Make this frame the last one that showed something."""
         pose, R_world_camera = localization.pose, localization.R_world_camera
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
-        self._visible.still.update(frame.small, step.inv())
+        self._visible.update(frame.small, step.inv())
         self._thumbnail = frame.thumbnail
         self._scale += SCALE_RATE * (localization.pose.scale - self._scale)
         R_world_first = rotation_from_matrix(self._map.keyframes[0].R)
