@@ -9,16 +9,12 @@
 """A bag of results holds what the node publishes of the same pictures, to the last byte."""
 
 from collections import defaultdict
-from contextlib import ExitStack
 from time import monotonic
 from unittest import mock
 
 import pytest
-from sph_stab_ros.config import NodeConfig, SmoothingConfig, ViewConfig
 from sph_stab_ros.recording import open_recording
-from sph_stab_ros.replay import bag_sink
-from sph_stab_ros.stabilization.pipeline import Stabilizer
-from sph_stab_ros.stabilization.recording_loop import stabilize_recording
+from sph_stab_ros.replay import main as replay
 from tiny_recordings import IMAGE_TOPIC, turning_spheres, write_bag
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
@@ -28,14 +24,11 @@ from sensor_msgs.msg import CompressedImage  # noqa: E402
 from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
 from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
 
-CONFIG = NodeConfig(
-    view=ViewConfig(yaw_deg=90., pitch_deg=10., hfov_deg=60., width=200),
-    smoothing=SmoothingConfig('follow', 0.3), views=('view', 'rear'), front_marker='all',
-    front_yaw_deg=20., jpeg_quality=40)
 ARGUMENTS = [
     'view.yaw_deg:=90.0', 'view.pitch_deg:=10.0', 'view.hfov_deg:=60.0', 'view.width:=200',
     'smoothing.mode:=follow', 'smoothing.time_constant_s:=0.3', 'views:=[view, rear]',
     'front_marker:=all', 'front_yaw_deg:=20.0', 'jpeg_quality:=40']
+WORDS = [word for one in ARGUMENTS for word in ('-p', one)]
 # Where tf2_msgs is installed only, which the node can do without, and bags have by themselves.
 TF = '/tf'
 
@@ -51,9 +44,7 @@ def camera_bag(tmp_path_factory):
 def result(camera_bag, tmp_path_factory):
     """Return the bag of results."""
     path = tmp_path_factory.mktemp('result') / 'bag'
-    with ExitStack() as stack:
-        stabilize_recording(open_recording(camera_bag), Stabilizer(CONFIG),
-                            [bag_sink(path, False, stack, CONFIG)], pictures=True)
+    assert replay([str(camera_bag), str(path), *WORDS]) == 0
     return open_recording(path, 'stabilized/image/compressed')
 
 
@@ -64,7 +55,7 @@ def published(camera_bag):
 
     def publish(publisher, msg):
         messages[publisher.topic_name.removeprefix('/')].append(msg)
-    rclpy.init(args=['--ros-args', *(word for one in ARGUMENTS for word in ('-p', one))],
+    rclpy.init(args=['--ros-args', *WORDS],
                domain_id=next(DOMAINS),
                signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     try:

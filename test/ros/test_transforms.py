@@ -20,7 +20,7 @@ from sph_stab_ros.tracking import TrackingStatus
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from rclpy.qos import QoSProfile  # noqa: E402, I100
-from sph_stab_ros.ros import outputs  # noqa: E402
+from sph_stab_ros.ros import publishers  # noqa: E402
 from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
 from sph_stab_ros.ros.parameters import Settings  # noqa: E402
 
@@ -41,11 +41,11 @@ def node(monkeypatch):
         return SimpleNamespace(publish=lambda msg: node.published.append((topic, msg)),
                                get_subscription_count=lambda: topic == '/tf',
                                qos_profile=QoSProfile(depth=1))
-    monkeypatch.setattr(outputs, 'message_type', message_type)
-    monkeypatch.setattr(outputs, 'advertise', advertise)
-    monkeypatch.setattr(outputs, 'View', lambda *_: SimpleNamespace(camera=lambda: None))
-    monkeypatch.setattr(outputs, 'compressed_topic', lambda _, topic: f'{topic}/compressed')
-    monkeypatch.setattr(outputs, 'make', lambda name, **fields: SimpleNamespace(**fields))
+    monkeypatch.setattr(publishers, 'message_type', message_type)
+    monkeypatch.setattr(publishers, 'advertise', advertise)
+    monkeypatch.setattr(publishers, 'View', lambda *_: SimpleNamespace(camera=lambda: None))
+    monkeypatch.setattr(publishers, 'compressed_topic', lambda _, topic: f'{topic}/compressed')
+    monkeypatch.setattr(publishers, 'make', lambda name, **fields: SimpleNamespace(**fields))
     node.get_logger = lambda: SimpleNamespace(
         info=node.said.append, warning=lambda text, once: node.said.append(text))
     return node
@@ -56,11 +56,11 @@ def publish(node, frame_id):
     settings = Settings(CONFIG, {})
     stabilized = StabilizedFrame(Frame(np.zeros((64, 128), np.uint8), 5, frame_id),
                                  Rotation.identity(), TrackingStatus.OK)
-    outputs.Outputs(node, settings, None, CpuMeter()).publish_orientation(stabilized)
+    publishers.Outputs(node, settings, None, CpuMeter()).publish_orientation(stabilized)
 
 
 def test_they_are_published_where_tf2_msgs_is(node, monkeypatch):
-    monkeypatch.setattr(outputs, 'message_type', lambda name: SimpleNamespace)
+    monkeypatch.setattr(publishers, 'message_type', lambda name: SimpleNamespace)
     publish(node, 'theta')
     (topic, msg), = node.published
     assert topic == '/tf' and len(msg.transforms) == 2
@@ -68,7 +68,7 @@ def test_they_are_published_where_tf2_msgs_is(node, monkeypatch):
 
 
 def test_images_without_a_frame_are_named(node, monkeypatch):
-    monkeypatch.setattr(outputs, 'message_type', lambda name: SimpleNamespace)
+    monkeypatch.setattr(publishers, 'message_type', lambda name: SimpleNamespace)
     publish(node, '')
     assert not node.published
     assert node.said == ["no transforms on /tf: the images have the frame_id ''"]
