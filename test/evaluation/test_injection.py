@@ -136,11 +136,11 @@ def test_a_body_that_does_not_turn_misleads_until_it_is_masked(turning_bag, tmp_
     errors_deg = []
     for option in ('--body', '--mask'):
         file = tmp_path / f'{option}.json'
-        assert main([str(turning_bag), '--inject', '1', '--estimators', 'anchored', option,
+        assert main([str(turning_bag), '--inject', '1', '--estimators', 'moment', option,
                      'lat:-90,-20', '--json', str(file)]) == 0
         said = json.loads(file.read_text())
         assert said['body'] == 'lat:-90,-20'
-        errors_deg.append(said['estimators']['anchored']['geodesic_deg']['max'])
+        errors_deg.append(said['estimators']['moment']['geodesic_deg']['max'])
     misled_deg, masked_deg = errors_deg
     assert masked_deg < misled_deg / 2
 

@@ -252,7 +252,7 @@ def bad_raw_images(image):
         'not 2:1': message(height=height - 1, data=image[1:].tobytes()),
         'wrong step': message(step=2 * width),
         'truncated data': message(data=image[1:].tobytes()),
-        'unknown encoding': message(encoding='yuv422'),
+        'unknown encoding': message(encoding='smell8'),
         'zero size': message(height=0, width=0, step=0, data=b''),
         'unusable size': message(height=32, width=64, step=192, data=image[:32, :64].tobytes()),
     }
@@ -297,7 +297,8 @@ def test_bad_compressed_images_are_counted_and_the_next_good_one_is_used(tmp_pat
 def test_unexpected_errors_cost_one_image(tmp_path):
     mask = tmp_path / 'mask.png'
     cv2.imwrite(str(mask), np.full((64, 128), 255, np.uint8))
-    small, large = textured_sphere(256), textured_sphere(512)
+    large = textured_sphere(512)
+    small = cv2.resize(large, (256, 128), interpolation=cv2.INTER_AREA)
     first_ns, second_ns, third_ns = stamps_of(3)
     with stabilizer(tmp_path, *QUICK, '-p', f'mask:={mask}',
                     topics=('orientation', '/diagnostics')) as peer:
@@ -314,7 +315,8 @@ def test_unexpected_errors_cost_one_image(tmp_path):
 
 def test_strange_streams_are_noticed(tmp_path):
     first_ns, second_ns, third_ns = stamps_of(3)
-    small, large = textured_sphere(256), textured_sphere(512)
+    large = textured_sphere(512)
+    small = cv2.resize(large, (256, 128), interpolation=cv2.INTER_AREA)
     with stabilizer(tmp_path, *QUICK, topics=('orientation', '/diagnostics')) as peer:
         peer.stabilize(small, second_ns)
         peer.stabilize(small, first_ns)
