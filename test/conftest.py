@@ -13,6 +13,15 @@ from pathlib import Path
 import pytest
 from tiny_recordings import turning_spheres, write_bag, write_video
 
+try:
+    from hypothesis import settings
+except ImportError:
+    pass
+else:
+    # The same examples every time, however slow the machine is.
+    settings.register_profile('repeatable', deadline=None, derandomize=True)
+    settings.load_profile('repeatable')
+
 TEST = Path(__file__).resolve().parent
 # What is marked in each; other tests bear their marks themselves.
 FOLDER_MARKERS = {
