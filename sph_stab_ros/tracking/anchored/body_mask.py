@@ -10,7 +10,9 @@
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Mask, Plane
 from sph_stab_ros.geometry.equirect import pad_sphere
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.tracking.anchored.thumbnail import change_by_rotation
@@ -41,13 +43,13 @@ class BodyMask:
     share of that which really happens, fitted over time, is 1 for the world and 0 for the body.
     """
 
-    def __init__(self):
-        self._small = None
+    def __init__(self) -> None:
+        self._small: Plane | None = None
         self._happened = np.zeros((WIDTH // 2, WIDTH), np.float32)
         self._evidence = np.zeros_like(self._happened)
         self.mask = np.zeros(self._happened.shape, bool)
 
-    def update(self, grey, R_current_previous):
+    def update(self, grey: Grey, R_current_previous: Rotation | None) -> None:
         """Take in the next grey sphere (H, W); without a rotation it is the first one."""
         small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
         small = cv2.GaussianBlur(pad_sphere(small.astype(np.float32), MARGIN_PX), (0, 0), BLUR_PX)
@@ -76,31 +78,31 @@ class VisibleWorld:
     black: what no lens shows.
     """
 
-    def __init__(self, used=None):
+    def __init__(self, used: Mask | None = None) -> None:
         self.still = BodyMask()
         self._used = used
         self._brightest = np.zeros(self.still.mask.shape, np.uint8)
         self._hidden = np.zeros_like(self.still.mask)
 
-    def update(self, grey, R_current_previous):
+    def update(self, grey: Grey, R_current_previous: Rotation | None) -> None:
         """Take in the next grey sphere (H, W); without a rotation it is the first one."""
         self.still.update(grey, R_current_previous)
         small = cv2.resize(grey, self.still.mask.shape[::-1], interpolation=cv2.INTER_AREA)
         self._brightest = np.maximum(self._brightest, small)
-        black = pad_sphere(np.uint8(self._brightest <= BLACK_GREY), MIN_BLACK_PX)
+        black = pad_sphere((self._brightest <= BLACK_GREY).astype(np.uint8), MIN_BLACK_PX)
         black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((MIN_BLACK_PX,) * 2, np.uint8))
         black = cv2.dilate(black, np.ones((PATCH_PX,) * 2, np.uint8))
         inside = slice(MIN_BLACK_PX, -MIN_BLACK_PX)
         self._hidden = self.still.mask | (black[inside, inside] > 0)
 
-    def shows(self, bearings):
+    def shows(self, bearings: Bearings) -> Choice:
         """Tell along which bearings (N, 3) of the camera the world is to be seen."""
         shown = ~_read(self._hidden, bearings)
         if self._used is not None:
             shown &= _read(self._used, bearings)
         return shown
 
-    def pixels(self):
+    def pixels(self) -> Mask:
         """Return which pixels of a sphere show the world, (H, W) bool of whatever size."""
         if self._used is None:
             return ~self._hidden
@@ -109,8 +111,8 @@ class VisibleWorld:
         return self._used & ~self._hidden[np.ix_(rows, columns)]
 
 
-def _read(mask, bearings):
+def _read(mask: Mask, bearings: Bearings) -> Choice:
     """Return the values (N,) of a mask (H, W) along bearings (N, 3)."""
     height, width = mask.shape
-    columns, rows = np.rint(Equirect(width).pixels(*np.float32(bearings.T))).astype(int)
+    columns, rows = np.rint(Equirect(width).pixels(*bearings.T.astype(np.float32))).astype(int)
     return mask[np.clip(rows, 0, height - 1), columns % width]

@@ -17,12 +17,14 @@ definition, and its inverse depth ρ counts from there. Keyframe k sees it along
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
+from sph_stab_ros.geometry.arrays import (
+    Bearings, Choice, Floats, Indices, Matrix, Values, Vectors)
 from sph_stab_ros.tracking.anchored.pose_estimation import (
-    CAUCHY, cauchy_weights, MAX_INVERSE_DEPTH, MEDIAN_2D)
+    CAUCHY, cauchy_weights, MAX_INVERSE_DEPTH, MEDIAN_2D, NormalEquations)
 
 ITERATIONS = 4
 STEP_TOLERANCE = 1e-5
@@ -46,17 +48,17 @@ class Window:
     keyframe's camera, ``sqrt_information`` (M, 2, 3) with what certainty, as for a pose.
     """
 
-    R: np.ndarray
-    p: np.ndarray
-    free: np.ndarray
-    host: np.ndarray
-    x: np.ndarray
-    inverse_depths: np.ndarray
-    information: np.ndarray
-    keyframe: np.ndarray
-    point: np.ndarray
-    y: np.ndarray
-    sqrt_information: np.ndarray
+    R: Matrix
+    p: Vectors
+    free: Choice
+    host: Indices
+    x: Bearings
+    inverse_depths: Values
+    information: Values
+    keyframe: Indices
+    point: Indices
+    y: Bearings
+    sqrt_information: Floats
 
 
 @dataclass(frozen=True)
@@ -70,16 +72,16 @@ class Adjusted:
     positions, as far as the fixed ones are exact.
     """
 
-    R: np.ndarray
-    p: np.ndarray
-    inverse_depths: np.ndarray
-    information: np.ndarray
-    weights: np.ndarray
+    R: Matrix
+    p: Vectors
+    inverse_depths: Values
+    information: Values
+    weights: Values
     scale: float
-    covariance: np.ndarray
+    covariance: Floats
 
 
-def adjust(window, keep_distance=False):
+def adjust(window: Window, keep_distance: bool = False) -> Adjusted:
     """
     Return the Adjusted window: robust least squares by Levenberg–Marquardt.
 
@@ -114,28 +116,28 @@ def adjust(window, keep_distance=False):
 class Equations:
     """Normal equations: keyframes' H and g, points' H_rr and g_r, and H_rp between them."""
 
-    H: np.ndarray
-    g: np.ndarray
-    H_rp: np.ndarray
-    H_rr: np.ndarray
-    g_r: np.ndarray
-    weights: np.ndarray
+    H: Floats
+    g: Floats
+    H_rp: Floats
+    H_rr: Values
+    g_r: Values
+    weights: Values
     scale: float
 
-    def reduced(self, damping):
+    def reduced(self, damping: float) -> Floats:
         """Return the matrix of the keyframes alone (Schur complement), damped."""
         S = self.H - (self.H_rp / (self.H_rr * (1 + damping))[:, None]).T @ self.H_rp
         S[np.diag_indices_from(S)] += damping * np.diag(self.H) + 1e-9
         return S
 
 
-def residual_lengths(window, R, p, rho):
+def residual_lengths(window: Window, R: Matrix, p: Vectors, rho: Values) -> Values:
     """Return the lengths (M,) of the residuals."""
     r = residuals(window, R, p, rho)
     return np.sqrt(np.einsum('mk,mk->m', r, r))
 
 
-def residuals(window, R, p, rho):
+def residuals(window: Window, R: Matrix, p: Vectors, rho: Values) -> Floats:
     """Return the residuals ``W (b − y)`` (M, 2)."""
     host = window.host[window.point]
     if kernels.library is not None:
@@ -151,14 +153,15 @@ def residuals(window, R, p, rho):
     return r
 
 
-def normal_equations(window, R, p, rho, sizes, kept_along=None):
+def normal_equations(window: Window, R: Matrix, p: Vectors, rho: Values, sizes: Values,
+                     kept_along: Floats | None = None) -> Equations:
     """
     Return the Equations of residuals of such sizes (M,), weighted by them.
 
     ``W db = M dz`` with ``dz = ω_h × x − ω_k × z − ρ (dp_k − dp_h) − q dρ``, all in the world. The
     free keyframes do not move along the unit vector ``kept_along`` (6F,), if given.
     """
-    scale = np.clip(np.median(sizes) / MEDIAN_2D, MIN_SCALE, MAX_SCALE)
+    scale = float(np.clip(np.median(sizes) / MEDIAN_2D, MIN_SCALE, MAX_SCALE))
     weights = cauchy_weights(sizes, scale)
     H, g, H_rp, H_rr, g_r = pose_and_point_equations(window, R, p, rho, weights / scale ** 2)
     if kept_along is not None:
@@ -167,7 +170,8 @@ def normal_equations(window, R, p, rho, sizes, kept_along=None):
                      g_r + window.information * (rho - window.inverse_depths), weights, scale)
 
 
-def pose_and_point_equations(window, R, p, rho, w):
+def pose_and_point_equations(window: Window, R: Matrix, p: Vectors, rho: Values,
+                             w: Values) -> NormalEquations:
     """
     Return the normal equations of observations weighted by w (M,), without prior inverse depths.
 
@@ -177,7 +181,8 @@ def pose_and_point_equations(window, R, p, rho, w):
     return accumulate(window, R, p, rho, w)
 
 
-def _accumulate_compiled(window, R, p, rho, w):
+def _accumulate_compiled(window: Window, R: Matrix, p: Vectors, rho: Values,
+                         w: Values) -> NormalEquations:
     columns, points = 6 * window.free.sum(), len(window.x)
     H, g, H_rp = np.zeros((columns, columns)), np.zeros(columns), np.zeros((points, columns))
     H_rr, g_r = np.zeros(points), np.zeros(points)
@@ -188,7 +193,7 @@ def _accumulate_compiled(window, R, p, rho, w):
     return H, g, H_rp, H_rr, g_r
 
 
-def _accumulate(window, R, p, rho, w):
+def _accumulate(window: Window, R: Matrix, p: Vectors, rho: Values, w: Values) -> NormalEquations:
     host = window.host[window.point]
     x, q, z = _rays(window, R, p, rho, host)
     A = window.sqrt_information @ np.swapaxes(R[window.keyframe], 1, 2)
@@ -211,21 +216,22 @@ def _accumulate(window, R, p, rho, w):
     J = J[:, :, :-1].reshape(len(M), 2, -1)
 
     flat = (w[:, None, None] * J).reshape(2 * len(M), -1).T
-    by_point = sparse.csr_matrix((w, (window.point, each)), shape=(len(window.x), len(M)))
+    by_point = csr_matrix((w, (window.point, each)), shape=(len(window.x), len(M)))
     return (flat @ J.reshape(2 * len(M), -1), flat @ r.ravel(),
             by_point @ np.einsum('mkn,mk->mn', J, J_rho),
             by_point @ np.einsum('mk,mk->m', J_rho, J_rho),
             by_point @ np.einsum('mk,mk->m', J_rho, r))
 
 
-def _rays(window, R, p, rho, host):
+def _rays(window: Window, R: Matrix, p: Vectors, rho: Values,
+          host: Indices) -> tuple[Vectors, Vectors, Vectors]:
     """Return bearings x, offsets q and what is seen, ``z = x − ρ q``, (M, 3) in the world."""
     x = np.einsum('mij,mj->mi', R[host], window.x[window.point])
     q = p[window.keyframe] - p[host]
     return x, q, x - rho[window.point, None] * q
 
 
-def _farthest(window):
+def _farthest(window: Window) -> Floats:
     """Return the unit vector (6F,) along which the farthest free keyframe leaves the origin."""
     p = window.p[window.free]
     distances = np.linalg.norm(p, axis=1)
@@ -235,13 +241,14 @@ def _farthest(window):
     return along.ravel()
 
 
-def _cost(window, rho, sizes, scale):
+def _cost(window: Window, rho: Values, sizes: Values, scale: float) -> float:
     width = CAUCHY * scale
     return ((CAUCHY ** 2 * np.log1p((sizes / width) ** 2)).sum()
             + window.information @ (rho - window.inverse_depths) ** 2)
 
 
-def _step(window, equations, damping, R, p, rho):
+def _step(window: Window, equations: Equations, damping: float, R: Matrix, p: Vectors,
+          rho: Values) -> tuple[Floats, Matrix, Vectors, Values]:
     H_rr = equations.H_rr * (1 + damping)
     step = -np.linalg.solve(equations.reduced(damping),
                             equations.g - equations.H_rp.T @ (equations.g_r / H_rr))

@@ -12,14 +12,19 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import (
+    Bearings, Choice, Covariance, Grey, Indices, Mask, Matrix, Pixels, Vector, Vectors)
 from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
 from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Window
 from sph_stab_ros.tracking.anchored.landmarks import Landmarks, Observations
 from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
-from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, PatchStore
+from sph_stab_ros.tracking.anchored.patches import (
+    MAX_LATITUDE_RAD, Patches, PatchStore, Pyramid)
 from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
 from sph_stab_ros.tracking.frame_to_frame.features import detect, Features
 
@@ -56,20 +61,20 @@ class Keyframe:
     """
 
     number: int
-    R: np.ndarray
-    position: np.ndarray
-    covariance: np.ndarray
-    jpeg: np.ndarray
+    R: Matrix
+    position: Vector
+    covariance: Covariance
+    jpeg: NDArray[np.uint8]
     thumbnail: Thumbnail
     observations: Observations
     _features: Features | None = None
 
     @property
-    def grey(self):
+    def grey(self) -> Grey:
         """Return the camera's sphere (H, W) uint8."""
         return cv2.imdecode(self.jpeg, cv2.IMREAD_GRAYSCALE)
 
-    def features(self, used):
+    def features(self, used: Mask) -> Features:
         """Return the A-KAZE Features in the pixels ``used``; found once, in some 50 ms."""
         if self._features is None:
             self._features = detect(self.grey, used)
@@ -84,49 +89,52 @@ class LandmarkMap:
     landmarks: Landmarks | None = None
     store: PatchStore = field(default_factory=PatchStore)
     lenses: Lenses = field(default_factory=Lenses)
-    _adjusted_apart: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    _adjusted_apart: Vector = field(default_factory=lambda: np.zeros(3))
     _next_keyframe: int = 0
     _next_landmark: int = 0
-    _known_poses: tuple | None = None
+    _known_poses: tuple[Indices, Matrix, Vectors] | None = None
 
-    def hosts(self, rows):
+    def hosts(self, rows: Indices) -> tuple[Matrix, Vectors]:
         """Return R (N, 3, 3) and positions (N, 3) of the hosts of the landmarks in rows."""
+        assert self.landmarks is not None
         numbers, R, positions = self._poses()
         index = np.searchsorted(numbers, self.landmarks.host[rows])
         return R[index], positions[index]
 
-    def _poses(self):
+    def _poses(self) -> tuple[Indices, Matrix, Vectors]:
         """Return the numbers (K,) of the keyframes, R (K, 3, 3) and positions (K, 3)."""
         # Asked for several times per frame, they seldom change.
         if self._known_poses is None:
-            self._known_poses = tuple(
-                np.array([getattr(one, name) for one in self.keyframes])
-                for name in ('number', 'R', 'position'))
+            self._known_poses = (np.array([one.number for one in self.keyframes]),
+                                 np.array([one.R for one in self.keyframes]),
+                                 np.array([one.position for one in self.keyframes]))
         return self._known_poses
 
-    def rays(self, rows, position):
+    def rays(self, rows: Indices, position: Vector) -> Vectors:
         """
         Return vectors (N, 3) in the world to the landmarks in rows from a position.
 
         Each in units of the landmark's distance from its host.
         """
+        assert self.landmarks is not None
         R, origins = self.hosts(rows)
         return (np.einsum('nij,nj->ni', R, self.landmarks.x[rows])
                 - self.landmarks.inverse_depth[rows, None] * (position - origins))
 
-    def directions(self, rows, position):
+    def directions(self, rows: Indices, position: Vector) -> Bearings:
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
         z = self.rays(rows, position)
         return z / np.linalg.norm(z, axis=1, keepdims=True)
 
-    def add_keyframe(self, R_world_camera, position, covariance, grey, thumbnail, observations):
+    def add_keyframe(self, R_world_camera: Rotation, position: Vector, covariance: Covariance,
+                     grey: Grey, thumbnail: Thumbnail, observations: Observations) -> None:
         """Add a Keyframe of a grey sphere (H, W), from which Observations were made."""
         self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
                                        covariance, encode_jpeg(grey), thumbnail, observations))
         self._next_keyframe += 1
         self._known_poses = None
 
-    def turn(self, R_new_old, added_variance):
+    def turn(self, R_new_old: Rotation, added_variance: float) -> None:
         """Turn the whole map; what is known of orientations changes by a variance in rad²."""
         R = R_new_old.as_matrix()
         for one in self.keyframes:
@@ -135,7 +143,7 @@ class LandmarkMap:
                               + added_variance * np.eye(3))
         self._known_poses = None
 
-    def add_landmarks(self, grey, pyramid, usable):
+    def add_landmarks(self, grey: Grey, pyramid: Pyramid, usable: Mask) -> None:
         """
         Add landmarks at corners of the last keyframe's picture, where there are none yet.
 
@@ -143,7 +151,8 @@ class LandmarkMap:
         """
         keyframe = self.keyframes[-1]
         width = pyramid.width
-        free = cv2.resize(np.uint8(usable), grey.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        free = cv2.resize(
+            usable.astype(np.uint8), grey.shape[::-1], interpolation=cv2.INTER_NEAREST)
         edge = round(width * (0.25 - MAX_LATITUDE_RAD / (2 * np.pi))) + MIN_DISTANCE_PX
         free[:edge] = free[-edge:] = 0
         wanted, inverse_depth = MAX_LANDMARKS, 1.
@@ -151,7 +160,7 @@ class LandmarkMap:
             active = np.flatnonzero(self.landmarks.active)
             wanted -= len(active)
             if len(active):
-                inverse_depth = max(np.median(self.landmarks.inverse_depth[active]), 1e-3)
+                inverse_depth = max(float(np.median(self.landmarks.inverse_depth[active])), 1e-3)
             there = self.lenses.as_seen(
                 self.directions(active, keyframe.position) @ keyframe.R)
             free[near_pixels(pixels_from_bearings(there, width), width, MIN_DISTANCE_PX)] = 0
@@ -160,7 +169,7 @@ class LandmarkMap:
             mask=free, blockSize=7)
         if uv is None:
             return
-        x = bearings_from_pixels(np.float64(uv[:, 0]), width)
+        x = bearings_from_pixels(uv[:, 0].astype(float), width)
         east = np.cross((0., 1., 0.), x)
         east /= np.linalg.norm(east, axis=1, keepdims=True)
         south = np.cross(x, east)
@@ -177,8 +186,9 @@ class LandmarkMap:
         self.landmarks = (new if self.landmarks is None
                           else Landmarks.joined((self.landmarks, new)))
 
-    def adjust(self):
+    def adjust(self) -> None:
         """Adjust the last keyframes and what they saw; give up what does not fit."""
+        assert self.landmarks is not None
         first = max(len(self.keyframes) - ADJUSTED_KEYFRAMES, 1)
         if np.linalg.norm(self.lenses.apart - self._adjusted_apart) > LENSES_CHANGED_RAD:
             # What was adjusted before was adjusted to other bearings.
@@ -215,14 +225,16 @@ class LandmarkMap:
         self._keep(~np.isin(self.landmarks.number, numbers[(trust < MIN_TRUST) & (count > 1)]))
         self._take_lenses_apart(self.lenses.learn(*lens_equations(window, adjusted)))
 
-    def _take_lenses_apart(self, rotvec):
+    def _take_lenses_apart(self, rotvec: Vector) -> None:
         """Correct all bearings known so far by a further rotation vector between the lenses."""
+        assert self.landmarks is not None
         self.landmarks.x = apart(self.landmarks.x, rotvec)
         for one in self.keyframes:
             one.observations.y = apart(one.observations.y, rotvec)
 
-    def shrink(self):
+    def shrink(self) -> None:
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""
+        assert self.landmarks is not None
         if len(self.keyframes) <= MAX_KEYFRAMES:
             return
         # The world's and the newest stay. Of the others one goes that has another one near.
@@ -235,19 +247,21 @@ class LandmarkMap:
         self._known_poses = None
         self._keep(self.landmarks.host != dropped.number)
 
-    def near(self, position, count):
+    def near(self, position: Vector, count: int) -> Indices:
         """Return rows of up to ``count`` inactive landmarks whose hosts are nearest, ascending."""
+        assert self.landmarks is not None
         inactive = np.flatnonzero(~self.landmarks.active)
         _, origins = self.hosts(inactive)
         distance = np.linalg.norm(origins - position, axis=1)
         return np.sort(inactive[np.argsort(distance, kind='stable')[:count]])
 
-    def _keep(self, kept):
+    def _keep(self, kept: Choice) -> None:
+        assert self.landmarks is not None
         self.store.give_back(self.landmarks.patch[~kept])
         self.landmarks = self.landmarks[kept]
 
 
-def near_pixels(uv, width, distance_px):
+def near_pixels(uv: Pixels, width: int, distance_px: int) -> Mask:
     """Return the pixels (width / 2, width) bool about so near to pixels uv (N, 2), seam or not."""
     near = np.zeros((width // 2, width), np.uint8)
     u, v = np.rint(uv).astype(int).T
@@ -258,7 +272,7 @@ def near_pixels(uv, width, distance_px):
     return cv2.dilate(near, np.ones((side, side), np.uint8))[:, distance_px:-distance_px] > 0
 
 
-def _are_among(numbers, others):
+def _are_among(numbers: Indices, others: Indices) -> Choice:
     """Tell which of ascending numbers (N,) are among ascending others (M,), M > 0."""
     place = np.minimum(np.searchsorted(others, numbers), len(others) - 1)
     return others[place] == numbers

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sph_stab_ros.geometry.arrays import Choice, Indices, Values
+from sph_stab_ros.geometry.arrays import Bearings, Choice, Floats, Indices, Values
 from sph_stab_ros.tracking.anchored.pose_estimation import cauchy_weights
 from sph_stab_ros.tracking.anchored.table import Table
 
@@ -36,17 +36,17 @@ class Landmarks(Table):
     is looked for, ``patch`` (N,) the row of its patch in the store.
     """
 
-    number: np.ndarray
-    host: np.ndarray
-    x: np.ndarray
-    east: np.ndarray
-    south: np.ndarray
-    inverse_depth: np.ndarray
-    information: np.ndarray
-    agreed: np.ndarray
-    missed: np.ndarray
-    active: np.ndarray
-    patch: np.ndarray
+    number: Indices
+    host: Indices
+    x: Bearings
+    east: Bearings
+    south: Bearings
+    inverse_depth: Values
+    information: Values
+    agreed: Indices
+    missed: Indices
+    active: Choice
+    patch: Indices
 
     def is_mature(self, rows: Indices) -> Choice:
         """Tell which of those in rows have a say in the pose."""
@@ -86,11 +86,11 @@ class Observations(Table):
     Their numbers (N,), ascending, bearings y (N, 3) in the camera, ``sqrt_information`` (N, 2, 3).
     """
 
-    number: np.ndarray
-    y: np.ndarray
-    sqrt_information: np.ndarray
+    number: Indices
+    y: Bearings
+    sqrt_information: Floats
 
 
-def inlier_mask(sizes, scale):
+def inlier_mask(sizes: Values, scale: float) -> Choice:
     """Tell which whitened residuals of such sizes (N,) are worth more than a quarter."""
     return cauchy_weights(sizes, scale) > 0.25

@@ -18,8 +18,11 @@ through one lens and then through the other tells.
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.tracking.anchored.bundle_adjustment import pose_and_point_equations, residuals
+from sph_stab_ros.geometry.arrays import Bearings, Covariance, Floats, Matrix, Values, Vector
+from sph_stab_ros.tracking.anchored.bundle_adjustment import (
+    Adjusted, pose_and_point_equations, residuals, Window)
 
 # For derivatives by differences; all is linear over far more.
 STEP_RAD = 1e-4
@@ -41,28 +44,29 @@ INFLUENCE = 0.7
 class Lenses:
     """The rotation vector ``apart`` (3,) between the halves of a stitched picture, as learnt."""
 
-    def __init__(self):
-        self.apart = np.zeros(3)
-        self._information, self._evidence = np.zeros((3, 3)), np.zeros(3)
+    def __init__(self) -> None:
+        self.apart: Vector = np.zeros(3)
+        self._information: Matrix = np.zeros((3, 3))
+        self._evidence: Vector = np.zeros(3)
 
-    def learn(self, H, g):
+    def learn(self, H: Matrix, g: Vector) -> Vector:
         """Take in the normal equations of a window as it is; return by how much ``apart`` grew."""
         self._information = MEMORY * self._information + SHARE * H
         self._evidence = MEMORY * self._evidence + SHARE * (H @ self.apart - g)
         likely = np.linalg.solve(
             self._information + np.eye(3) / SIGMA_RAD ** 2, self._evidence)
-        significance = max(likely @ self._information @ likely, 1e-9)
+        significance = max(float(likely @ self._information @ likely), 1e-9)
         before = self.apart
         # Shrunk, as by James and Stein: what may as well be nothing is nothing.
         self.apart = max(0., 1 - SIGNIFICANT / significance) * likely
         return self.apart - before
 
     @property
-    def apart_covariance(self):
+    def apart_covariance(self) -> Covariance:
         """Return the covariance (3, 3) of ``apart`` in rad²."""
         return np.linalg.inv(TRUST * self._information + np.eye(3) / USUAL_RAD ** 2)
 
-    def covariance(self, R_first_camera):
+    def covariance(self, R_first_camera: Rotation) -> Covariance:
         """
         Return how uncertain an orientation is because of them: (3, 3) in rad².
 
@@ -71,16 +75,16 @@ class Lenses:
         D = R_first_camera.as_matrix() - np.eye(3)
         return INFLUENCE ** 2 * np.trace(D @ self.apart_covariance @ D.T) / 3 * np.eye(3)
 
-    def as_seen(self, bearings):
+    def as_seen(self, bearings: Bearings) -> Bearings:
         """Return where in the picture bearings (N, 3) are to be seen."""
         return apart(bearings, -self.apart)
 
-    def corrected(self, bearings):
+    def corrected(self, bearings: Bearings) -> Bearings:
         """Return the bearings (N, 3) of what is seen in the picture."""
         return apart(bearings, self.apart)
 
 
-def apart(bearings, rotvec):
+def apart(bearings: Bearings, rotvec: Vector) -> Bearings:
     """
     Return bearings (N, 3) of a picture whose front half (z > 0) is turned against its rear half.
 
@@ -91,7 +95,7 @@ def apart(bearings, rotvec):
     return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
-def lens_equations(window, adjusted):
+def lens_equations(window: Window, adjusted: Adjusted) -> tuple[Matrix, Vector]:
     """
     Return what an Adjusted Window says about its lenses: normal equations H (3, 3) and g (3,).
 
@@ -102,16 +106,16 @@ def lens_equations(window, adjusted):
     R, p, rho = adjusted.R, adjusted.p, adjusted.inverse_depths
     w = adjusted.weights / adjusted.scale ** 2
 
-    def linearised(rotvec):
+    def linearised(rotvec: Vector) -> tuple[Floats, Floats, Floats, Floats, Values, Values]:
         other = replace(window, x=apart(window.x, rotvec), y=apart(window.y, rotvec))
         H, g, H_rp, H_rr, g_r = pose_and_point_equations(other, R, p, rho, w)
         return residuals(other, R, p, rho), H, g, H_rp, window.information + H_rr, g_r
 
     r, H, g, H_rp, H_rr, g_r = linearised(np.zeros(3))
-    J, H_pe, H_re = zip(*(
+    by_axis = zip(*(
         [(turned[i] - here) / STEP_RAD for i, here in ((0, r), (2, g), (5, g_r))]
         for turned in map(linearised, STEP_RAD * np.eye(3))))
-    J, H_pe, H_re = np.stack(J), np.stack(H_pe, axis=1), np.stack(H_re, axis=1)
+    J, H_pe, H_re = (np.stack(one, axis=axis) for one, axis in zip(by_axis, (0, 1, 1)))
     H_ee, g_e = np.einsum('amk,m,bmk->ab', J, w, J), np.einsum('amk,m,mk->a', J, w, r)
     # Without the points, then without the keyframes.
     by_point = H_re / H_rr[:, None]

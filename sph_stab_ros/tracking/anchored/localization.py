@@ -8,13 +8,18 @@
 
 """Where a camera is, by the landmarks that it sees."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bearings, Choice, Indices, Vector, Vectors
 from sph_stab_ros.geometry.rotations import cross
-from sph_stab_ros.tracking.anchored.landmarks import inlier_mask, Observations
-from sph_stab_ros.tracking.anchored.patches import LEVELS, MAX_LATITUDE_RAD
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
+from sph_stab_ros.tracking.anchored.landmarks import inlier_mask, Landmarks, Observations
+from sph_stab_ros.tracking.anchored.patches import LEVELS, MAX_LATITUDE_RAD, Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import (
     fit_depths, fit_pose, Points, PoseEstimate)
 from sph_stab_ros.tracking.anchored.pose_hypotheses import agreement, fit_poses_among_movers
@@ -43,6 +48,9 @@ MIN_AGREEMENT = 0.63
 GOOD_PREDICTION_RAD = np.deg2rad(0.5)
 MAX_ATTEMPTS = 3
 
+# Tells of bearings in the camera which to use.
+Usable: TypeAlias = Callable[[Bearings], Choice]
+
 
 @dataclass(frozen=True)
 class Localization:
@@ -52,24 +60,25 @@ class Localization:
     ``agreeing`` (N,) bool tells which of them are where the pose says.
     """
 
-    rows: np.ndarray
+    rows: Indices
     points: Points
     pose: PoseEstimate
-    agreeing: np.ndarray
+    agreeing: Choice
 
     @property
-    def R_world_camera(self):
+    def R_world_camera(self) -> Rotation:
         """Return the camera's orientation."""
         return self.pose.R_camera_world.inv()
 
-    def observations(self, landmarks, which):
+    def observations(self, landmarks: Landmarks, which: Choice) -> Observations:
         """Return the Observations of those in ``which`` (N,) bool."""
         return Observations(landmarks.number[self.rows[which]], self.points.y[which],
                             self.points.sqrt_information[which])
 
 
-def localize(landmark_map, rows, pyramid, R_world_camera, position, position_sigma, usual_scale,
-             is_usable, coarsely):
+def localize(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid, R_world_camera: Rotation,
+             position: Vector, position_sigma: float, usual_scale: float, is_usable: Usable,
+             coarsely: bool) -> Localization | None:
     """
     Return the Localization of a camera from a guess, None where it cannot be told.
 
@@ -95,6 +104,7 @@ def localize(landmark_map, rows, pyramid, R_world_camera, position, position_sig
         Whether the guess may be off by more than 2 px, including all depths.
 
     """
+    assert landmark_map.landmarks is not None
     guess = position
     for _ in range(MAX_ATTEMPTS):
         found, points = match_landmarks(
@@ -124,44 +134,48 @@ def localize(landmark_map, rows, pyramid, R_world_camera, position, position_sig
     return Localization(found, points, pose, agreeing)
 
 
-def match_landmarks(landmark_map, rows, pyramid, R_world_camera, position, is_usable,
-                    levels=LEVELS):
+def match_landmarks(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid,
+                    R_world_camera: Rotation, position: Vector, is_usable: Usable,
+                    levels: int = LEVELS) -> tuple[Indices, Points]:
     """Return which of the landmarks in rows are found from a guessed pose, and as what Points."""
     return look_along(landmark_map.rays(rows, position), landmark_map, rows, pyramid,
                       R_world_camera, is_usable, levels)
 
 
-def look_along(z, landmark_map, rows, pyramid, R_world_camera, is_usable, levels=LEVELS):
+def look_along(z: Vectors, landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid,
+               R_world_camera: Rotation, is_usable: Usable,
+               levels: int = LEVELS) -> tuple[Indices, Points]:
     """
     Return which of the landmarks in rows are found in guessed directions, and as what Points.
 
     The rays z (N, 3), in the world, are as long as the landmarks are farther than from the hosts.
     """
     R, origins = landmark_map.hosts(rows)
-    landmarks = landmark_map.landmarks
+    landmarks, patches = landmark_map.landmarks, landmark_map.store.patches
+    assert landmarks is not None and patches is not None
     x = np.einsum('nij,nj->ni', R, landmarks.x[rows])
     distance = np.linalg.norm(z, axis=1)
     b = z / distance[:, None]
-    R_world_camera = R_world_camera.as_matrix()
-    expected = landmark_map.lenses.as_seen(b @ R_world_camera)
+    camera_axes = R_world_camera.as_matrix()
+    expected = landmark_map.lenses.as_seen(b @ camera_axes)
     seen = np.flatnonzero(
         (np.abs(expected[:, 1]) < np.sin(MAX_LATITUDE_RAD)) & is_usable(expected)
         & (distance > MIN_DISTANCE) & (distance < MAX_DISTANCE))
-    rows, R, x, b, origins, expected, distance = (
-        one[seen] for one in (rows, R, x, b, origins, expected, distance))
+    rows = rows[seen]
+    R, x, b, origins, expected, distance = (
+        one[seen] for one in (R, x, b, origins, expected, distance))
     # Tangents go along from x to b without a twist.
     east = np.einsum('nij,nj->ni', R, landmarks.east[rows])
     east -= (np.einsum('ni,ni->n', east, b)
              / (1 + np.einsum('ni,ni->n', x, b)))[:, None] * (x + b)
-    east = east @ R_world_camera
+    east = east @ camera_axes
     south = cross(expected, east)
-    patches = landmark_map.store.patches
     offsets, correlation, last_step_px = patches.find(
         landmarks.patch[rows], pyramid, expected, east, south, 1 / distance, levels)
     found = ((correlation > MIN_CORRELATION) & (last_step_px < MAX_LAST_STEP_PX)
              & (np.linalg.norm(offsets, axis=1) * pyramid.px_per_rad() < MAX_OFFSET_PX))
-    rows, offsets, expected, east, south = (
-        one[found] for one in (rows, offsets, expected, east, south))
+    rows = rows[found]
+    offsets, expected, east, south = (one[found] for one in (offsets, expected, east, south))
     y = landmark_map.lenses.corrected(
         expected + offsets[:, :1] * east + offsets[:, 1:] * south)
     px_per_rad = min(pyramid.px_per_rad(), MAX_PX_PER_RAD)
@@ -171,9 +185,11 @@ def look_along(z, landmark_map, rows, pyramid, R_world_camera, is_usable, levels
                         landmarks.information[rows], y, sqrt_information)
 
 
-def returning(landmark_map, pyramid, R_world_camera, position, is_usable):
+def returning(landmark_map: LandmarkMap, pyramid: Pyramid, R_world_camera: Rotation,
+              position: Vector, is_usable: Usable) -> Observations:
     """Wake inactive landmarks that are seen from a known pose; return their Observations."""
     landmarks = landmark_map.landmarks
+    assert landmarks is not None
     rows, points = match_landmarks(
         landmark_map, landmark_map.near(position, MAX_RETURNING), pyramid, R_world_camera,
         position, is_usable)

@@ -15,19 +15,23 @@ with the first one afresh, of unknown depths; landmarks are followed from frame 
 pose they speak for; and of several poses that one counts which holds in most places.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Covariance, Indices, Values
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
-from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION
+from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION, LandmarkMap
 from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
 from sph_stab_ros.tracking.anchored.localization import (
-    GOOD_PREDICTION_RAD, Localization, look_along, MAX_ATTEMPTS, MIN_POINTS)
+    GOOD_PREDICTION_RAD, Localization, look_along, MAX_ATTEMPTS, MIN_POINTS, Usable)
+from sph_stab_ros.tracking.anchored.patches import Pyramid
+from sph_stab_ros.tracking.anchored.pose_estimation import Points, PoseEstimate
 from sph_stab_ros.tracking.anchored.pose_hypotheses import (
-    agreement, fit_poses_among_movers, places)
+    agreement, fit_poses_among_movers, Guess, places)
 
 # Where the camera is not known to be a pose is right even if it holds in so few of the places:
 # those of walkers, and of the robot's body.
@@ -56,20 +60,23 @@ class MapInitializer:
 
     """
 
-    def __init__(self, landmark_map, position_sigma_per_s, min_position_sigma):
+    def __init__(self, landmark_map: LandmarkMap, position_sigma_per_s: float,
+                 min_position_sigma: float) -> None:
+        assert landmark_map.landmarks is not None
         self._map = landmark_map
         self._sigma_per_s, self._min_sigma = position_sigma_per_s, min_position_sigma
-        self._first_ns = None
+        self._first_ns: int | None = None
         # Orientation by the pose that counted before, to tell how far another one differs; None
         # where the last frame was not localized here.
         self.R_world_continued: Rotation | None = None
         # Where each landmark was last seen or, if it was missed since, would be if it were far.
         self._y = landmark_map.landmarks.x.copy()
         # R_last_key and the position in that camera of each, the one that counted first.
-        self._rivals = [(Rotation.identity(), np.zeros(3))]
+        self._rivals: list[Guess] = [(Rotation.identity(), np.zeros(3))]
         self._rng = np.random.default_rng(0)
 
-    def localize(self, pyramid, R_camera_last, stamp_ns, is_usable):
+    def localize(self, pyramid: Pyramid, R_camera_last: Rotation, stamp_ns: int,
+                 is_usable: Usable) -> Localization | None:
         """
         Return the Localization of the next frame, None where it cannot be told.
 
@@ -104,8 +111,10 @@ class MapInitializer:
         pose.covariance[:3, :3] += contested(poses, costs, len(places(points.y)[1]))
         return Localization(found, points, pose, agreeing)
 
-    def _look_for(self, pyramid, R_camera_last, R_world_camera, is_usable):
+    def _look_for(self, pyramid: Pyramid, R_camera_last: Rotation, R_world_camera: Rotation,
+                  is_usable: Usable) -> tuple[Indices, Points]:
         """Return which landmarks are found near where they were last seen, as Points."""
+        assert self._map.landmarks is not None
         rows = np.flatnonzero(self._map.landmarks.active)
         found, points = look_along(
             (R_world_camera * R_camera_last).apply(self._y[rows]), self._map, rows, pyramid,
@@ -114,7 +123,7 @@ class MapInitializer:
                               information=np.full(len(found), FIRST_INFORMATION))
 
 
-def contested(poses, costs, places_seen):
+def contested(poses: list[PoseEstimate], costs: Values, places_seen: int) -> Covariance:
     """
     Return the covariance (3, 3) in rad² of the best pose's rotation, in the camera, by its rivals.
 
@@ -126,9 +135,9 @@ def contested(poses, costs, places_seen):
     return (off * likely[:, None]).T @ off / likely.sum()
 
 
-def distinct(poses):
+def distinct(poses: Sequence[PoseEstimate]) -> list[PoseEstimate]:
     """Return those PoseEstimates that are not turned like one before."""
-    kept = []
+    kept: list[PoseEstimate] = []
     for pose in poses:
         if all((pose.R_camera_world * one.R_camera_world.inv()).magnitude() > SAME_RAD
                for one in kept):

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from sph_stab_ros import kernels
+from sph_stab_ros.geometry.arrays import Bearings, Floats, Grey, Indices, Values, Vectors
 from sph_stab_ros.geometry.equirect import pad_sphere
 from sph_stab_ros.tracking.anchored.table import Table
 
@@ -49,13 +50,13 @@ class Pyramid:
     Each is made when it is asked for: the halved one seldom is.
     """
 
-    def __init__(self, grey):
+    def __init__(self, grey: Grey) -> None:
         self.width = grey.shape[1]
         self.margin_px = min(MARGIN_PX, grey.shape[0] >> LEVELS - 1)
         self._grey = grey
-        self._images = {}
+        self._images: dict[int, Grey] = {}
 
-    def image(self, level):
+    def image(self, level: int) -> Grey:
         """Return the picture of a level with its margins."""
         if level not in self._images:
             grey = self._grey if level == 0 else cv2.resize(
@@ -64,19 +65,19 @@ class Pyramid:
                 pad_sphere(grey, self.margin_px), (0, 0), BLUR_PX)
         return self._images[level]
 
-    def px_per_rad(self, level=0):
+    def px_per_rad(self, level: int = 0) -> float:
         """Return the number of pixels of a level per radian."""
         return (self.width >> level) / (2 * np.pi)
 
-    def read(self, level, u, v):
+    def read(self, level: int, u: Floats, v: Floats) -> Floats:
         """Return the grey values (N, P) float32 at pixels u, v (N, P) of a level."""
         if kernels.library is not None:
             image, grey = self.image(level), np.empty(u.shape, np.float32)
             kernels.library.read_pixels(u.size, image, *image.shape, u, v, grey)
             return grey
         # OpenCV refuses to read nothing.
-        return np.float32(cv2.remap(self.image(level), u, v, cv2.INTER_LINEAR)
-                          if len(u) else u)
+        return np.asarray(cv2.remap(self.image(level), u, v, cv2.INTER_LINEAR)
+                          if len(u) else u, np.float32)
 
 
 @dataclass
@@ -90,13 +91,13 @@ class Patches(Table):
     (N, 2, 2) tells how exactly a patch can be found, per pixel.
     """
 
-    templates: np.ndarray
-    deviations: np.ndarray
-    solvers: np.ndarray
-    sqrt_information_px: np.ndarray
+    templates: Floats
+    deviations: Floats
+    solvers: Floats
+    sqrt_information_px: Floats
 
     @classmethod
-    def cut(cls, pyramid, x, east, south):
+    def cut(cls, pyramid: Pyramid, x: Bearings, east: Vectors, south: Vectors) -> 'Patches':
         """Return the Patches around bearings x (N, 3) with unit tangents east and south there."""
         levels = []
         for level in range(LEVELS):
@@ -122,7 +123,9 @@ class Patches(Table):
         templates, deviations, solvers = (np.stack(one, axis=1) for one in zip(*levels))
         return cls(templates, deviations, solvers, sqrt_information_px)
 
-    def find(self, rows, pyramid, expected, east, south, scale, levels=LEVELS):
+    def find(self, rows: Indices, pyramid: Pyramid, expected: Bearings, east: Vectors,
+             south: Vectors, scale: Values,
+             levels: int = LEVELS) -> tuple[Floats, Values, Values]:
         """
         Return where the patches in rows are in a picture.
 
@@ -159,7 +162,9 @@ class Patches(Table):
         deviation = np.maximum(self.deviations[rows, level], MIN_CONTRAST)
         return offsets, 1 - difference / (2 * deviation ** 2), length
 
-    def _settle_compiled(self, rows, pyramid, level, expected, east, south, scale, offsets):
+    def _settle_compiled(self, rows: Indices, pyramid: Pyramid, level: int, expected: Bearings,
+                         east: Vectors, south: Vectors, scale: Values,
+                         offsets: Floats) -> tuple[Values, Values]:
         difference, length = np.zeros((2, len(rows)), np.float32)
         image = pyramid.image(level)
         kernels.library.settle_patches(
@@ -169,14 +174,16 @@ class Patches(Table):
             offsets, difference, length)
         return difference, length
 
-    def _settle(self, rows, pyramid, level, expected, east, south, scale, offsets):
+    def _settle(self, rows: Indices, pyramid: Pyramid, level: int, expected: Bearings,
+                east: Vectors, south: Vectors, scale: Values,
+                offsets: Floats) -> tuple[Values, Values]:
         """Improve offsets (N, 2) in place; return mean squared differences, last steps (N,)."""
         px = pyramid.px_per_rad(level)
         b = expected + offsets[:, :1] * east + offsets[:, 1:] * south
         b /= np.linalg.norm(b, axis=1, keepdims=True)
         u, v, u_moves, v_moves = _maps(b, east, south, pyramid, level, SAMPLES, scale)
         template, deviation = self.templates[rows, level], self.deviations[rows, level]
-        solver = self.solvers[rows, level] * np.float32(scale)[:, None, None]
+        solver = self.solvers[rows, level] * np.asarray(scale, np.float32)[:, None, None]
         for _ in range(ITERATIONS[level]):
             grey = pyramid.read(level, u, v)
             grey -= grey.mean(axis=1, keepdims=True)
@@ -195,11 +202,11 @@ class Patches(Table):
 class PatchStore:
     """Patches that stay where they are: thousands of them take milliseconds to be moved."""
 
-    def __init__(self):
-        self.patches = None
-        self._free = np.empty(0, int)
+    def __init__(self) -> None:
+        self.patches: Patches | None = None
+        self._free: Indices = np.empty(0, int)
 
-    def put(self, patches):
+    def put(self, patches: Patches) -> Indices:
         """Take in Patches and return the rows (N,) in which they are."""
         missing = len(patches) - len(self._free)
         if missing > 0:
@@ -213,12 +220,12 @@ class PatchStore:
             getattr(self.patches, one.name)[rows] = getattr(patches, one.name)
         return rows
 
-    def give_back(self, rows):
+    def give_back(self, rows: Indices) -> None:
         """Let others use these rows (N,) from now on."""
         self._free = np.concatenate((self._free, rows))
 
 
-def _sqrt_information_px(G):
+def _sqrt_information_px(G: Floats) -> Floats:
     """Return the symmetric root of ``G (G + G0)⁻¹ / σ²`` for mean structure tensors (N, 2, 2)."""
     values, vectors = np.linalg.eigh(G)
     values = np.maximum(values, 1e-3)
@@ -226,7 +233,8 @@ def _sqrt_information_px(G):
     return (vectors * roots[:, None, :]) @ np.swapaxes(vectors, 1, 2)
 
 
-def _maps(b, east, south, pyramid, level, samples, scale):
+def _maps(b: Bearings, east: Vectors, south: Vectors, pyramid: Pyramid, level: int, samples: int,
+          scale: Values) -> tuple[Floats, Floats, Floats, Floats]:
     """
     Return the pixels u, v (N, P) of patches, and how they move per pixel of offset, (N, 2) each.
 
@@ -244,10 +252,10 @@ def _maps(b, east, south, pyramid, level, samples, scale):
     width = pyramid.width >> level
     u = np.float32(lon * steps) @ powers + np.float32(width / 2 - 0.5 + pyramid.margin_px)
     v = np.float32(lat * steps) @ powers + np.float32(width / 4 - 0.5 + pyramid.margin_px)
-    return u, v, np.float32(lon[:, 1:3]), np.float32(lat[:, 1:3])
+    return u, v, lon[:, 1:3].astype(np.float32), lat[:, 1:3].astype(np.float32)
 
 
-def _expansion(b, east, south):
+def _expansion(b: Bearings, east: Vectors, south: Vectors) -> tuple[Floats, Floats]:
     """
     Return longitude and latitude (downwards) around unit bearings b (N, 3) to second order.
 

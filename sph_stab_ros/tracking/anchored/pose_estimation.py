@@ -17,12 +17,14 @@ translation.
 """
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
+from sph_stab_ros.geometry.arrays import Bearings, Floats, Matrix, Values, Vector, Vectors
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.table import Table
 
@@ -38,6 +40,9 @@ MEDIAN_1D, MEDIAN_2D = 0.6745, 1.1774
 MIN_SCALE = 0.3
 MAX_INVERSE_DEPTH = 5.0
 
+# H and g of poses, H_rp between depths and poses, H_rr and g_r of depths.
+NormalEquations: TypeAlias = tuple[Floats, Floats, Floats, Values, Values]
+
 
 @dataclass(frozen=True)
 class Points(Table):
@@ -50,12 +55,12 @@ class Points(Table):
     divided by the standard deviations along them.
     """
 
-    x: np.ndarray
-    origins: np.ndarray
-    inverse_depths: np.ndarray
-    information: np.ndarray
-    y: np.ndarray
-    sqrt_information: np.ndarray
+    x: Bearings
+    origins: Vectors
+    inverse_depths: Values
+    information: Values
+    y: Bearings
+    sqrt_information: Floats
 
 
 @dataclass(frozen=True)
@@ -91,16 +96,17 @@ class PoseEstimate:
     """
 
     R_camera_world: Rotation
-    position: np.ndarray
-    inverse_depths: np.ndarray
-    sizes: np.ndarray
-    weights: np.ndarray
+    position: Vector
+    inverse_depths: Values
+    sizes: Values
+    weights: Values
     scale: float
-    covariance: np.ndarray
+    covariance: Floats
 
 
-def fit_pose(points, R_camera_world, position, position_sigma, loss=CAUCHY_LOSS,
-             iterations=ITERATIONS, say=1., inverse_depths=None):
+def fit_pose(points: Points, R_camera_world: Rotation, position: Vector, position_sigma: float,
+             loss: Loss = CAUCHY_LOSS, iterations: int = ITERATIONS, say: Values | float = 1.,
+             inverse_depths: Values | None = None) -> PoseEstimate:
     """
     Return the PoseEstimate that takes Points to where they are seen.
 
@@ -139,7 +145,7 @@ def fit_pose(points, R_camera_world, position, position_sigma, loss=CAUCHY_LOSS,
         rotation_from_matrix(R), p, rho, sizes, weights, scale, np.linalg.inv(H))
 
 
-def fit_depths(points, pose):
+def fit_depths(points: Points, pose: PoseEstimate) -> PoseEstimate:
     """
     Return the PoseEstimate of other Points seen by the camera of a PoseEstimate.
 
@@ -152,7 +158,7 @@ def fit_depths(points, pose):
                    weights=cauchy_weights(sizes, pose.scale))
 
 
-def depths_at(points, R, p):
+def depths_at(points: Points, R: Matrix, p: Vector) -> Values:
     """Return the inverse depths (N,) that fit a known pose best."""
     rho, equally = points.inverse_depths, np.ones(len(points))
     for _ in range(DEPTH_ITERATIONS):
@@ -162,17 +168,17 @@ def depths_at(points, R, p):
     return rho
 
 
-def cauchy_weights(sizes, scale):
+def cauchy_weights(sizes: Values, scale: float) -> Values:
     """Return the weights of residuals of such sizes, in (0, 1]."""
     return 1 / (1 + (sizes / (CAUCHY * scale)) ** 2)
 
 
-def median(values):
+def median(values: Values) -> float:
     """Return the upper median of values (N,), in a fifth of NumPy's time for a few hundred."""
     return np.partition(values, len(values) // 2)[len(values) // 2]
 
 
-def residuals(points, R, p, rho):
+def residuals(points: Points, R: Matrix, p: Vector, rho: Values) -> Floats:
     """Return ``W (b − y)`` (N, 2), b the unit vector along ``z = R (x − ρ (p − c))``."""
     if kernels.library is not None:
         r = np.empty((len(points), 2))
@@ -184,7 +190,8 @@ def residuals(points, R, p, rho):
     return np.einsum('nki,ni->nk', points.sqrt_information, b - points.y)
 
 
-def equations(points, R, p, rho, r, w):
+def equations(points: Points, R: Matrix, p: Vector, rho: Values, r: Floats,
+              w: Values) -> NormalEquations:
     """
     Return the normal equations of residuals r (N, 2), weighted by w (N,), and of prior depths.
 
@@ -198,7 +205,8 @@ def equations(points, R, p, rho, r, w):
             g_r + points.information * (rho - points.inverse_depths))
 
 
-def _accumulate_compiled(points, R, p, rho, r, w):
+def _accumulate_compiled(points: Points, R: Matrix, p: Vector, rho: Values, r: Floats,
+                         w: Values) -> NormalEquations:
     n = len(points)
     H, g, H_rp, H_rr, g_r = (
         np.zeros((6, 6)), np.zeros(6), np.empty((n, 6)), np.empty(n), np.empty(n))
@@ -208,7 +216,8 @@ def _accumulate_compiled(points, R, p, rho, r, w):
     return H, g, H_rp, H_rr, g_r
 
 
-def _accumulate(points, R, p, rho, r, w):
+def _accumulate(points: Points, R: Matrix, p: Vector, rho: Values, r: Floats,
+                w: Values) -> NormalEquations:
     q = p - points.origins
     z = (points.x - rho[:, None] * q) @ R.T
     length = np.linalg.norm(z, axis=1)[:, None]

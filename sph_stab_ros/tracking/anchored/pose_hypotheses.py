@@ -8,12 +8,16 @@
 
 """Poses that compete where much moves by itself: what holds in most places is the world's."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bearings, Choice, Indices, Values, Vector
 from sph_stab_ros.tracking.anchored.pose_estimation import (
-    depths_at, fit_depths, fit_pose, GEMAN_MCCLURE_LOSS, MIN_ITERATIONS)
+    depths_at, fit_depths, fit_pose, GEMAN_MCCLURE_LOSS, MIN_ITERATIONS, Points, PoseEstimate)
 
 # Where the mean residual over all places, in deviations, is less, all of it is one scene, and
 # other starts need not be tried.
@@ -29,8 +33,13 @@ PLACE_RAD = np.deg2rad(30)
 TRIED_SIGMAS = 3.0
 TRUNCATION = 4.0
 
+# R_camera_world and position.
+Guess: TypeAlias = tuple[Rotation, Vector]
 
-def fit_poses_among_movers(points, guesses, position_sigma, rng, scale=1.):
+
+def fit_poses_among_movers(points: Points, guesses: Sequence[Guess], position_sigma: float,
+                           rng: np.random.Generator,
+                           scale: float = 1.) -> tuple[list[PoseEstimate], Values]:
     """
     Return PoseEstimates of which one may be right where much moves by itself, and their costs.
 
@@ -46,10 +55,10 @@ def fit_poses_among_movers(points, guesses, position_sigma, rng, scale=1.):
     # Of the points in one place errors are alike, more or less.
     say = count[place] ** -0.5
 
-    def cost(pose):
+    def cost(pose: PoseEstimate) -> float:
         return np.minimum(pose.sizes / scale, TRUNCATION) @ share
 
-    def refined(R_camera_world, position):
+    def refined(R_camera_world: Rotation, position: Vector) -> PoseEstimate:
         # A point of the wrong depth would be taken for an outlier.
         rho = depths_at(points, R_camera_world.as_matrix(), position)
         return fit_pose(points, R_camera_world, position, position_sigma,
@@ -70,7 +79,7 @@ def fit_poses_among_movers(points, guesses, position_sigma, rng, scale=1.):
     return poses, np.array([cost(pose) for pose in poses])
 
 
-def places(y):
+def places(y: Bearings) -> tuple[Indices, Indices]:
     """
     Return for bearings y (N, 3) the numbers (N,) of the places that they are in, and counts.
 
@@ -86,7 +95,7 @@ def places(y):
     return place.ravel(), count
 
 
-def agreement(y, agreeing):
+def agreement(y: Bearings, agreeing: Choice) -> float:
     """Return in which share of the places those of bearings y (N, 3) agree that are to."""
     place, count = places(y)
-    return np.mean(np.bincount(place, agreeing) / count)
+    return float(np.mean(np.bincount(place, agreeing) / count))

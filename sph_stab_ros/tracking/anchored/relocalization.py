@@ -15,11 +15,16 @@ an essential matrix tells the turn without depths, within a degree or two. That 
 in the world as it was.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Grey, Mask
+from sph_stab_ros.tracking.anchored.landmark_map import Keyframe
+from sph_stab_ros.tracking.frame_to_frame.estimators.base import BearingPairs, RotationEstimate
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import fit_essential
-from sph_stab_ros.tracking.frame_to_frame.features import detect, match
+from sph_stab_ros.tracking.frame_to_frame.features import detect, Features, match
 
 # The last keyframes before the loss are compared first, then as many of the others.
 LAST_TRIED = OTHERS_TRIED = 8
@@ -50,30 +55,32 @@ class Relocalizer:
 
     """
 
-    def __init__(self, keyframes, grey, R_new_camera, used, pictures_left=MAX_PICTURES - 1):
+    def __init__(self, keyframes: Sequence[Keyframe], grey: Grey, R_new_camera: Rotation,
+                 used: Mask, pictures_left: int = MAX_PICTURES - 1) -> None:
         self.keyframes = keyframes
         self._pictures_left = pictures_left
         self._grey, self._used, self._R_new_camera = grey, used, R_new_camera
-        self._features = None
+        self._features: Features | None = None
         # R_old_new by each keyframe that had an answer, and on how many pairs that stands.
-        self._answers, self._supports = [], []
+        self._answers: list[Rotation] = []
+        self._supports: list[int] = []
         others = keyframes[:-LAST_TRIED]
         every = max(1, -(-len(others) // OTHERS_TRIED))
         self._untried = [*others[::every], *keyframes[-LAST_TRIED:]]
 
     @property
-    def is_over(self):
+    def is_over(self) -> bool:
         """Whether there is no keyframe left to compare with."""
         return not self._untried
 
-    def with_another(self, grey, R_new_camera):
+    def with_another(self, grey: Grey, R_new_camera: Rotation) -> 'Relocalizer | None':
         """Return the same for another picture of the new world, None after MAX_PICTURES."""
         if not self._pictures_left:
             return None
         return Relocalizer(
             self.keyframes, grey, R_new_camera, self._used, self._pictures_left - 1)
 
-    def step(self):
+    def step(self) -> Rotation | None:
         """Compare with one more keyframe; return R_old_new, of the two worlds, once it is sure."""
         keyframe = self._untried.pop()
         if self._features is None:
@@ -92,8 +99,9 @@ class Relocalizer:
         return answers[alike].mean(np.array(self._supports)[alike]) if alike.sum() > 1 else None
 
 
-def turn_with_less_parallax(estimate, pairs):
+def turn_with_less_parallax(estimate: RotationEstimate, pairs: BearingPairs) -> Rotation:
     """Return that one of the two rotations which an essential matrix allows, of any size."""
+    assert estimate.t_current is not None
     R = estimate.R_current_previous
     half_turn = Rotation.from_rotvec(np.pi * estimate.t_current)
     return max((R, half_turn * R), key=lambda one: np.median(

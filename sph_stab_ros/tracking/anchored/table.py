@@ -8,22 +8,28 @@
 
 """Tables whose columns are arrays."""
 
-from dataclasses import fields
+from collections.abc import Sequence
+from dataclasses import Field, fields
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+
+Rows = TypeVar('Rows', bound='Table')
 
 
 class Table:
     """A dataclass of arrays of one length, or of other Table: selected and joined row by row."""
 
-    def __len__(self):
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))
 
-    def __getitem__(self, index):
+    def __getitem__(self: Rows, index: Any) -> Rows:
         return type(self)(*(getattr(self, one.name)[index] for one in fields(self)))
 
     @classmethod
-    def joined(cls, tables):
+    def joined(cls: type[Rows], tables: Sequence[Rows]) -> Rows:
         """Return the rows of several tables in one."""
         columns = ([getattr(table, one.name) for table in tables] for one in fields(cls))
         return cls(*(type(parts[0]).joined(parts) if isinstance(parts[0], Table)

@@ -8,12 +8,15 @@
 
 """Coarse alignment of two tiny spheres by their grey values: a start for everything finer."""
 
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Plane, Values, Vector
 from sph_stab_ros.geometry.equirect import bearing_grid, pad_sphere, row_solid_angles
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
@@ -33,7 +36,7 @@ YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
 class Thumbnail:
     """A grey sphere (H, W) reduced to 32 × 64, of zero mean and unit variance."""
 
-    def __init__(self, grey):
+    def __init__(self, grey: Grey) -> None:
         small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
         margin_px = 4
         padded = pad_sphere(small.astype(np.float32), margin_px)
@@ -43,14 +46,23 @@ class Thumbnail:
         self.margin_px = margin_px
         self.image = self.padded[margin_px:-margin_px, margin_px:-margin_px]
 
-    def read(self, bearings):
+    def read(self, bearings: Bearings) -> Values:
         """Return the values (N,) along bearings (3, N) float32."""
         u, v = Equirect(WIDTH).pixels(*bearings)
         return cv2.remap(self.padded, u + self.margin_px, v + self.margin_px,
                          cv2.INTER_LINEAR).ravel()
 
 
-def align_thumbnails(reference, current, R_current_reference):
+class _Seen(Protocol):
+    thumbnail: Thumbnail
+
+
+# A keyframe, of which nothing else is asked.
+Showing = TypeVar('Showing', bound=_Seen)
+
+
+def align_thumbnails(reference: Thumbnail, current: Thumbnail,
+                     R_current_reference: Rotation) -> Rotation:
     """
     Return the R_current_reference that makes two Thumbnails agree, starting from a guess.
 
@@ -75,7 +87,7 @@ def align_thumbnails(reference, current, R_current_reference):
     return rotation_from_matrix(R)
 
 
-def difference(reference, current, R_current_reference):
+def difference(reference: Thumbnail, current: Thumbnail, R_current_reference: Rotation) -> float:
     """Return by how much two Thumbnails differ in the mean, in standard deviations of either."""
     rows, weights = _rows_used()
     grid = bearing_grid(WIDTH)[rows].reshape(-1, 3).T
@@ -83,7 +95,8 @@ def difference(reference, current, R_current_reference):
     return np.average(np.abs(seen - reference.image[rows].ravel()), weights=weights)
 
 
-def likely_turns(keyframes, thumbnail):
+def likely_turns(keyframes: Sequence[Showing],
+                 thumbnail: Thumbnail) -> list[tuple[Showing, Rotation]]:
     """Return pairs of a keyframe and R_camera_key of a Thumbnail's camera, likeliest first."""
     turns = []
     for keyframe in keyframes:
@@ -95,28 +108,28 @@ def likely_turns(keyframes, thumbnail):
 
 
 @lru_cache(maxsize=1)
-def _rows_used():
+def _rows_used() -> tuple[Choice, Values]:
     """Return the rows used and the weights (N,) of their pixels."""
     lat = np.pi / 2 - (np.arange(WIDTH // 2) + 0.5) * 2 * np.pi / WIDTH
     rows = np.abs(lat) < MAX_LATITUDE_RAD
     return rows, np.repeat(row_solid_angles(WIDTH)[rows], WIDTH).astype(np.float32)
 
 
-def rotation_gradient(padded, margin_px):
+def rotation_gradient(padded: Plane, margin_px: int) -> Plane:
     """Return x × ∇I (H, W, 3) of a padded sphere, ∇I its gradient along the sphere per radian."""
     along_u, along_v = _gradient(padded, margin_px)
     per_u, per_v = _turned_directions(along_u.shape[1])
     return along_u[..., None] * per_u + along_v[..., None] * per_v
 
 
-def change_by_rotation(padded, margin_px, omega):
+def change_by_rotation(padded: Plane, margin_px: int, omega: Vector) -> Plane:
     """Return ω · (x × ∇I) (H, W) for a small rotation omega (3,) in a third of the time."""
     along_u, along_v = _gradient(padded, margin_px)
     per_u, per_v = (one.reshape(-1, 3) @ omega for one in _turned_directions(along_u.shape[1]))
     return along_u * per_u.reshape(along_u.shape) + along_v * per_v.reshape(along_v.shape)
 
 
-def _gradient(padded, margin_px):
+def _gradient(padded: Plane, margin_px: int) -> Iterator[Plane]:
     """Return ∂I per radian of longitude and of latitude downwards, (H, W) each."""
     inside = slice(margin_px, -margin_px)
     px_per_rad = np.float32((padded.shape[1] - 2 * margin_px) / (2 * np.pi))
@@ -125,7 +138,7 @@ def _gradient(padded, margin_px):
 
 
 @lru_cache(maxsize=2)
-def _turned_directions(width):
+def _turned_directions(width: int) -> tuple[Plane, Plane]:
     """Return x × east / cos lat and x × south, each (H, W, 3) float32, of every pixel."""
     x = bearing_grid(width)
     cos_lat = np.maximum(np.hypot(x[..., 0], x[..., 2]), 1e-3)[..., None]

@@ -11,13 +11,13 @@ The anchored tracker: landmarks of which each keeps the look it had when it was 
 
 What is compared with its first look instead of with the last frame does not drift. Each frame is
 located among the landmarks; now and then one becomes a keyframe, and the last keyframes' poses and
-the landmarks' depths are adjusted together. Inactive landmarks are looked for again when the
-camera comes near.
+the landmarks' depths are adjusted together. Inactive ones are looked for again when near.
 """
 
 import cv2
 import numpy as np
 
+from sph_stab_ros.geometry.arrays import Covariance, Grey, Mask, Vector
 from sph_stab_ros.geometry.rotations import rotate_covariance, rotation_from_matrix
 from sph_stab_ros.images.texture import has_texture
 from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
@@ -25,13 +25,13 @@ from sph_stab_ros.tracking.anchored.correction import SmoothCorrection
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MAX_LANDMARKS
 from sph_stab_ros.tracking.anchored.landmarks import Observations
 from sph_stab_ros.tracking.anchored.localization import (
-    DOUBTFUL, localize, MIN_MATURE, MIN_POINTS, returning)
+    DOUBTFUL, Localization, localize, MIN_MATURE, MIN_POINTS, returning)
 from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
 from sph_stab_ros.tracking.anchored.prepared_frame import PreparedFrame
 from sph_stab_ros.tracking.anchored.relocalization import Relocalizer, SIGMA_RAD
-from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns
+from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns, Thumbnail
 from sph_stab_ros.tracking.anchored.wide_baseline import locate_widely
-from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, TrackingStatus
+from sph_stab_ros.tracking.base import GyroRotation, no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.motion_model import MotionModel
 
 # A new keyframe is made where fewer of the landmarks than these are seen, or where they have moved
@@ -39,13 +39,11 @@ from sph_stab_ros.tracking.motion_model import MotionModel
 MIN_SURVIVORS = 0.4
 MAX_PARALLAX_RAD = 0.04
 # How far the camera moves against a prediction, in the unit of the map, per second.
-POSITION_SIGMA_PER_S = 0.6
-MIN_POSITION_SIGMA = 0.02
+POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA = 0.6, 0.02
 # After a longer time patches are searched coarsely first.
 MAX_FINE_S = 0.05
 # After a loss so many of the last keyframes are tried, from the likeliest headings.
-MAX_CANDIDATES = 6
-MAX_ATTEMPTS = 3
+MAX_CANDIDATES, MAX_ATTEMPTS = 6, 3
 # How a camera that was lost is turned nobody knows.
 LOST_RAD = 1.
 # How quickly the usual scale of residuals follows that of each frame.
@@ -69,44 +67,44 @@ class AnchoredTracker:
 
     """
 
-    def __init__(self, width, used=None, max_prediction_s=0.5, gyro_rotation=no_gyro):
+    def __init__(self, width: int, used: Mask | None = None, max_prediction_s: float = 0.5,
+                 gyro_rotation: GyroRotation = no_gyro) -> None:
         self._used = used
-        self._max_prediction_s = max_prediction_s
-        self._turn_between = gyro_rotation
+        self._max_prediction_s, self._turn_between = max_prediction_s, gyro_rotation
         self.reset()
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget everything: the next frame's orientation is the new world."""
         self._map = LandmarkMap()
         self._visible = VisibleWorld(self._used)
-        self._thumbnail = None
+        self._thumbnail: Thumbnail | None = None
         self._motion = MotionModel(self._max_prediction_s, self._turn_between)
-        self._covariance = np.zeros((3, 3))
+        self._covariance: Covariance = np.zeros((3, 3))
         self._correction = SmoothCorrection()
-        self._keyframe_to_add = None
-        self._relocalizer = None
+        self._keyframe_to_add: tuple[PreparedFrame, Localization] | None = None
+        self._relocalizer: Relocalizer | None = None
 
     @property
-    def body_mask(self):
+    def body_mask(self) -> Mask:
         """Pixels (80, 160) bool of the camera that stand still while the world turns."""
         return self._visible.still.mask
 
     @property
-    def lens_misalignment(self):
+    def lens_misalignment(self) -> tuple[Vector, Covariance]:
         """Rotation vector (3,) between a stitched picture's halves, and its covariance (3, 3)."""
         return self._map.lenses.apart, self._map.lenses.apart_covariance
 
     @property
-    def keyframes_kept(self):
+    def keyframes_kept(self) -> int:
         """Return the number of keyframes in the map."""
         return len(self._map.keyframes)
 
     @property
-    def landmarks_kept(self):
+    def landmarks_kept(self) -> int:
         """Return the number of landmarks in the map."""
         return 0 if self._map.landmarks is None else len(self._map.landmarks)
 
-    def track(self, grey, stamp_ns):
+    def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         self.settle()
         frame = PreparedFrame(grey)
@@ -132,7 +130,7 @@ class AnchoredTracker:
             self._correction.R_out_world * self._motion.R_world_camera, TrackingStatus.OK,
             self._covariance)
 
-    def settle(self):
+    def settle(self) -> None:
         """Do what the last orientation did not have to wait for: keyframes, and recognition."""
         # Taken off first: one that fails must not fail again with every frame to come.
         keyframe, self._keyframe_to_add = self._keyframe_to_add, None
@@ -144,7 +142,7 @@ class AnchoredTracker:
         if self._relocalizer and not self._relocalizer.is_over:
             self._relocalize_globally()
 
-    def _start_anew(self, frame):
+    def _start_anew(self, frame: PreparedFrame) -> None:
         """Start a map in a world of its own, until the old one is recognised."""
         # Lost again before that, it is still the old one that counts.
         keyframes = (self._relocalizer or self._map).keyframes
@@ -153,13 +151,14 @@ class AnchoredTracker:
         self._covariance = LOST_RAD ** 2 * np.eye(3)
         self._start_map(frame, None)
 
-    def _used_pixels(self, frame):
+    def _used_pixels(self, frame: PreparedFrame) -> Mask:
         """Return which pixels of the grey sphere show the world, (H, W) bool."""
-        return cv2.resize(np.uint8(self._visible.pixels()), frame.grey.shape[::-1],
+        return cv2.resize(self._visible.pixels().astype(np.uint8), frame.grey.shape[::-1],
                           interpolation=cv2.INTER_NEAREST) > 0
 
-    def _relocalize_globally(self):
+    def _relocalize_globally(self) -> None:
         """Go on looking for the old world, and turn the new one into it once it is found."""
+        assert self._relocalizer is not None
         R_old_new = self._relocalizer.step()
         if R_old_new is not None:
             known_better = SIGMA_RAD ** 2 - LOST_RAD ** 2
@@ -170,7 +169,7 @@ class AnchoredTracker:
             self._correction.reset()
             self._relocalizer = None
 
-    def _start_map(self, frame, stamp_ns):
+    def _start_map(self, frame: PreparedFrame, stamp_ns: int | None) -> None:
         """Start anew from here, in the orientation reached."""
         self._map = LandmarkMap()
         self._motion.reset(stamp_ns)
@@ -181,13 +180,13 @@ class AnchoredTracker:
             self._motion.R_world_camera, self._motion.position, self._covariance, frame.grey,
             frame.thumbnail, Observations(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
         self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
-        self._landmarks_at_keyframe = MAX_LANDMARKS
-        self._scale = 1.
+        self._landmarks_at_keyframe, self._scale = MAX_LANDMARKS, 1.
         self._initializer = None if self._map.landmarks is None else MapInitializer(
             self._map, POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA)
 
-    def _locate(self, frame, stamp_ns):
+    def _locate(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
         """Return the Localization near where the camera is expected, None without."""
+        assert self._map.landmarks is not None and self._thumbnail is not None
         motion = self._motion
         R_camera_last = align_thumbnails(
             self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
@@ -201,15 +200,16 @@ class AnchoredTracker:
             max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._scale,
             self._visible.shows, coarsely=elapsed_s > MAX_FINE_S)
 
-    def _locate_widely(self, frame):
+    def _locate_widely(self, frame: PreparedFrame) -> Localization | None:
         """Return the Localization somewhere near the last keyframe, None without."""
         return locate_widely(
             self._map, frame.grey, frame.pyramid, self._used_pixels(frame), POSITION_SIGMA_PER_S,
             self._visible.shows, DOUBTFUL * self._scale)
 
-    def _relocalize_nearby(self, frame, stamp_ns):
+    def _relocalize_nearby(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
         """Return the Localization near one of the last keyframes, whatever the camera has done."""
         landmarks = self._map.landmarks
+        assert landmarks is not None
         for keyframe, R_camera_key in likely_turns(
                 self._map.keyframes[-MAX_CANDIDATES:], frame.thumbnail)[:MAX_ATTEMPTS]:
             if self._initializer is not None:
@@ -232,7 +232,7 @@ class AnchoredTracker:
                 return localization
         return None
 
-    def _accept(self, frame, stamp_ns, localization):
+    def _accept(self, frame: PreparedFrame, stamp_ns: int, localization: Localization) -> None:
         """Make this frame the last one that showed something."""
         pose, R_world_camera = localization.pose, localization.R_world_camera
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
@@ -242,21 +242,22 @@ class AnchoredTracker:
         R_world_first = rotation_from_matrix(self._map.keyframes[0].R)
         self._covariance = (self._map.keyframes[-1].covariance
                             + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
-                            + self._map.lenses.covariance(
-                                R_world_first.inv() * R_world_camera))
+                            + self._map.lenses.covariance(R_world_first.inv() * R_world_camera))
         if self._initializer is not None and self._initializer.R_world_continued is not None:
             # When another pose counts than did before, the picture follows smoothly.
             self._correction.hide(self._initializer.R_world_continued, R_world_camera)
         self._correction.step()
 
-    def _judge_landmarks(self, localization):
+    def _judge_landmarks(self, localization: Localization) -> None:
         """Note which landmarks agree; deactivate those that are not seen or do not."""
         landmarks = self._map.landmarks
+        assert landmarks is not None
         # At the start nobody is judged for good.
         judge = landmarks.judge if self._initializer is None else landmarks.judge_for_now
         judge(localization.rows, localization.agreeing, localization.pose.inverse_depths)
 
-    def _is_keyframe(self, localization):
+    def _is_keyframe(self, localization: Localization) -> bool:
+        assert self._map.landmarks is not None
         seen = localization.rows[localization.agreeing]
         last, some = self._map.keyframes[-1], seen[::4]
         parallax_rad = np.median(np.linalg.norm(
@@ -271,8 +272,9 @@ class AnchoredTracker:
         return len(seen) < (MIN_SURVIVORS * self._landmarks_at_keyframe
                             if mature >= MIN_MATURE else 2 * MIN_POINTS)
 
-    def _add_keyframe(self, frame, localization):
+    def _add_keyframe(self, frame: PreparedFrame, localization: Localization) -> None:
         """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
+        assert self._map.landmarks is not None
         self._initializer = None
         motion, before = self._motion, self._motion.R_world_camera
         observations = Observations.joined((
@@ -289,11 +291,10 @@ class AnchoredTracker:
         self._map.shrink()
         self._landmarks_at_keyframe = self._map.landmarks.active.sum()
 
-    def _predicted(self, stamp_ns):
+    def _predicted(self, stamp_ns: int) -> TrackedOrientation:
         """Turn the last orientation on, by the gyro or its angular velocity, as far as known."""
         motion = self._motion
         R_world_camera = motion.R_world_camera * motion.predicted_rotation(stamp_ns)
         return TrackedOrientation(
             self._correction.R_out_world * R_world_camera,
-            TrackingStatus.PREDICTED if motion.is_predictable(stamp_ns)
-            else TrackingStatus.LOST)
+            TrackingStatus.PREDICTED if motion.is_predictable(stamp_ns) else TrackingStatus.LOST)

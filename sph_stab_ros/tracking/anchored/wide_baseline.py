@@ -12,11 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
-from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION
+from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION, LandmarkMap
 from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
 from sph_stab_ros.tracking.anchored.localization import (
-    Localization, look_along, MIN_AGREEMENT, MIN_POINTS)
+    Localization, look_along, MIN_AGREEMENT, MIN_POINTS, Usable)
+from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import fit_depths
 from sph_stab_ros.tracking.anchored.pose_hypotheses import agreement, fit_poses_among_movers
 from sph_stab_ros.tracking.anchored.relocalization import turn_with_less_parallax
@@ -32,7 +34,8 @@ MIN_FOUND = 0.2
 STEP = 0.2
 
 
-def locate_widely(landmark_map, grey, pyramid, used, position_sigma, is_usable, scale):
+def locate_widely(landmark_map: LandmarkMap, grey: Grey, pyramid: Pyramid, used: Mask,
+                  position_sigma: float, is_usable: Usable, scale: float) -> Localization | None:
     """
     Return the Localization of a camera not far from the last keyframe, None if it cannot be told.
 
@@ -43,12 +46,13 @@ def locate_widely(landmark_map, grey, pyramid, used, position_sigma, is_usable, 
     estimate = fit_essential(pairs)
     if estimate is None:
         return None
+    landmarks = landmark_map.landmarks
+    assert landmarks is not None and estimate.t_current is not None
     R_camera_key = turn_with_less_parallax(estimate, pairs)
     E = np.cross(np.eye(3), estimate.t_current) @ R_camera_key.as_matrix()
     pairs = pairs[epipolar_distance(E[None], pairs)[0] < INLIER_RAD]
     if len(pairs) < MIN_POINTS:
         return None
-    landmarks = landmark_map.landmarks
     rows = np.flatnonzero(landmarks.active | (landmarks.host == keyframe.number)
                           | np.isin(landmarks.number, keyframe.observations.number))
     before = landmark_map.directions(rows, keyframe.position) @ keyframe.R
