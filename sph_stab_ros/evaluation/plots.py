@@ -77,7 +77,8 @@ def orientation_figure(title: str, errors: Mapping[str, Errors]) -> Figure:
 
 def methods_figure(title: str, errors: Mapping[str, Errors]) -> Figure:
     """Return a Figure of the mean absolute error of each angle by each estimator (Table 1)."""
-    figure = Figure(figsize=(1.6 + 1.5 * len(errors), 4), layout='constrained')
+    # Wide enough for the title where there is one estimator only.
+    figure = Figure(figsize=(max(1.6 + 1.5 * len(errors), 5), 4), layout='constrained')
     panel = figure.subplots()
     panel.set_title(f'{title}: mean absolute error')
     for axis, name in enumerate(AXES):
@@ -90,7 +91,8 @@ def methods_figure(title: str, errors: Mapping[str, Errors]) -> Figure:
     _logarithmic(panel)
     panel.grid(axis='y', alpha=0.3)
     panel.set_axisbelow(True)
-    panel.legend()
+    # Beside the bars, none of which it hides there.
+    figure.legend(loc='outside right upper')
     return figure
 
 
