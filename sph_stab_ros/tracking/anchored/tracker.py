@@ -47,8 +47,7 @@ MAX_FINE_S = 0.05
 MAX_CANDIDATES, MAX_ATTEMPTS = 6, 3
 # How a camera that was lost is turned nobody knows.
 LOST_RAD = 1.
-# How quickly the usual scale of residuals follows that of each frame.
-SCALE_RATE = 0.1
+SCALE_RATE = 0.1  # at which the usual scale of residuals follows that of each frame
 
 
 class AnchoredTracker:
