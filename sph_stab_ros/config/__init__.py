@@ -10,17 +10,21 @@
 
 from sph_stab_ros.config.options import (
     ConfigError, get_option, Option, options, with_option)
+from sph_stab_ros.config.projection import (
+    CropConfig, CROPPED_EQUIRECT, CUBEMAP, CubemapConfig, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP,
+    EQUIDISTANT, EQUIRECT, EQUISOLID, FISHEYE, FisheyeConfig, LENS_MODELS, LensConfig, MIN_WIDTH,
+    PROJECTIONS, STRETCHED_EQUIRECT)
 from sph_stab_ros.config.schema import (
-    ANCHORED, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW, IMU, ImuConfig,
-    LensConfig, LEVELS, LOCK, METHODS, MIN_WIDTH, MODES, NODE_PARAMETERS, NodeConfig, PROJECTIONS,
-    RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW, VIEW_NAME, view_parameters,
-    ViewConfig, YAW_FOLLOW)
+    ANCHORED, FIRST_FRAME, FLOWS, FOLLOW, IMU, ImuConfig, LEVELS, LOCK, METHODS, MODES,
+    NODE_PARAMETERS, NodeConfig, RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW,
+    VIEW_NAME, view_parameters, ViewConfig, YAW_FOLLOW)
 from sph_stab_ros.config.settings import frame_in_tf, Settings, settings_of
 
 __all__ = [
-    'ANCHORED', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME', 'FisheyeConfig',
-    'FLOWS', 'FOLLOW', 'frame_in_tf', 'get_option', 'IMU', 'ImuConfig', 'LensConfig', 'LEVELS',
-    'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options',
-    'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig',
-    'TrackerConfig', 'VIEW', 'VIEW_NAME', 'view_parameters', 'ViewConfig', 'with_option',
-    'YAW_FOLLOW']
+    'ANCHORED', 'ConfigError', 'CropConfig', 'CROPPED_EQUIRECT', 'CUBEMAP', 'CubemapConfig',
+    'DUAL_FISHEYE', 'EQUI_ANGULAR_CUBEMAP', 'EQUIDISTANT', 'EQUIRECT', 'EQUISOLID', 'FIRST_FRAME',
+    'FISHEYE', 'FisheyeConfig', 'FLOWS', 'FOLLOW', 'frame_in_tf', 'get_option', 'IMU', 'ImuConfig',
+    'LENS_MODELS', 'LensConfig', 'LEVELS', 'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES',
+    'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options', 'PROJECTIONS', 'RESERVED', 'Settings',
+    'settings_of', 'SmoothingConfig', 'StabilizerConfig', 'STRETCHED_EQUIRECT', 'TrackerConfig',
+    'VIEW', 'VIEW_NAME', 'view_parameters', 'ViewConfig', 'with_option', 'YAW_FOLLOW']

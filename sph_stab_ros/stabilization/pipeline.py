@@ -111,8 +111,9 @@ class Stabilizer:
     ----------
     config : StabilizerConfig
     make_tracker : callable
-        Returns the Tracker to use, from the same arguments as ``tracking.make_tracker``: the place
-        for an estimator of your own.
+        Returns the Tracker to use, from the same arguments as ``tracking.make_tracker``, of which
+        the last is given where pictures show a part of the sphere only: the place for an estimator
+        of your own.
 
     """
 
@@ -158,7 +159,8 @@ class Stabilizer:
         """
         if config.tracker != self.config.tracker:
             self._tracker = None
-        if (config.projection, config.fisheye) != (self.config.projection, self.config.fisheye):
+        if any(getattr(config, name) != getattr(self.config, name)
+               for name in ('projection', 'fisheye', 'crop', 'cubemap')):
             self._tracker = self._last = None
         if config.imu != self.config.imu:
             self._imu.clear()
@@ -235,8 +237,10 @@ class Stabilizer:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
+        part = self._projection.seen(self._working_width)
+        seen = () if part is None else (part,)
         tracker = self._tracker = self._make_tracker(
-            self.config.tracker, self._working_width, self._gyro_rotation)
+            self.config.tracker, self._working_width, self._gyro_rotation, *seen)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
         if self._last is not None:
