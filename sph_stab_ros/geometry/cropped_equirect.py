@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from sph_stab_ros.config import CropConfig
-from sph_stab_ros.geometry.arrays import Bearings, Mask, Pixels, Plane, Raster
-from sph_stab_ros.geometry.pixel_map import PixelMap
+from sph_stab_ros.geometry.arrays import Bearings, Faces, Mask, Pixels, Plane, Raster
+from sph_stab_ros.geometry.pixel_map import NOWHERE, PixelMap
 from sph_stab_ros.geometry.projection import bend, bent_cells
 
 # Of the sphere: narrower gaps are none.
@@ -49,11 +49,11 @@ class CroppedEquirect(PixelMap):
         """Tell whether the picture goes on at its right edge where it begins at its left."""
         return self.right - self.left > 1 - GAP
 
-    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
         """Return u, v of bearings and which are seen."""
-        u, v, seen = self._unbounded(x, y, z)
+        u, v, face = self._unbounded(x, y, z)
         width, height = self.size_wh
-        return np.clip(u, 0, width - 1), np.clip(v, 0, height - 1), seen
+        return np.clip(u, 0, width - 1), np.clip(v, 0, height - 1), face
 
     def bearings(self, uv: Pixels) -> tuple[Bearings, Mask]:
         """Return where pixels look; all of them show something."""
@@ -87,13 +87,13 @@ class CroppedEquirect(PixelMap):
         """Return the values along bearings, on around the seam where the picture is."""
         if not self.is_around:
             return super().read(image, x, y, z)
-        u, v, seen = self._unbounded(x, y, z)
+        u, v, face = self._unbounded(x, y, z)
         values = cv2.remap(image, u, np.clip(v, 0, self.size_wh[1] - 1), cv2.INTER_LINEAR,
                            borderMode=cv2.BORDER_WRAP)
-        values[~seen] = 0
+        values[face == NOWHERE] = 0
         return values
 
-    def _unbounded(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
+    def _unbounded(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
         """Return u, v of bearings, up to half a pixel beyond the outermost, and which are seen."""
         across = np.arctan2(x, z) / np.float32(2 * np.pi) + np.float32(0.5 - self.left)
         across = across % 1 / np.float32(self.right - self.left)
@@ -101,7 +101,8 @@ class CroppedEquirect(PixelMap):
         down = down / np.float32(self.bottom - self.top)
         seen = (across <= 1) & (down >= 0) & (down <= 1)
         width, height = self.size_wh
-        return across * width - np.float32(0.5), down * height - np.float32(0.5), seen
+        return (across * width - np.float32(0.5), down * height - np.float32(0.5),
+                np.uint8(NOWHERE) * ~seen)
 
 
 def cropped_equirect(crop: CropConfig, size_wh: tuple[int, int]) -> CroppedEquirect:

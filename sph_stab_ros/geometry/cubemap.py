@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from sph_stab_ros.geometry.arrays import Bearings, Floats, Mask, Pixels, Plane
+from sph_stab_ros.geometry.arrays import Bearings, Faces, Floats, Mask, Pixels, Plane
 from sph_stab_ros.geometry.pixel_map import PixelMap
 
 # Where each face's columns, rows and depths grow to, by the letters that FFmpeg's v360 has for
@@ -72,8 +72,8 @@ class Cubemap(PixelMap):
         """Width of a sphere with as many pixels around, at most those of the faces' middle."""
         return 4 * round(min(self._face_wh))
 
-    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
-        """Return u, v of bearings; all are seen."""
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
+        """Return u, v of bearings and their faces; all are on one."""
         axes, corners = faces(self.layout)
         along = np.tensordot(axes, np.stack((x, y, z)).astype(np.float32), axes=1)
         face = along[:, 2].argmax(axis=0)
@@ -84,12 +84,13 @@ class Cubemap(PixelMap):
             across = offset / depth
             if self.equi_angular:
                 across = np.arctan(across) * np.float32(4 / np.pi)
-            size = self._face_wh[i]
-            pixel = (across + 1) * np.float32(size / 2)
-            # Between two faces, and no further.
-            pixel = np.clip(pixel, 0.5, size - 0.5) - np.float32(0.5)
-            pixels.append(pixel + self._starts(i, corners)[face])
-        return pixels[0], pixels[1], np.ones(face.shape, bool)
+            size, starts = self._face_wh[i], self._starts(i, corners)
+            pixel = (across + 1) * np.float32(size / 2) + (starts - np.float32(0.5))[face]
+            if self.equi_angular and i == 0:
+                # The faces of a band go on in each other.
+                starts, size = starts * 0 + starts.min(), size * self.layout.columns
+            pixels.append(np.clip(pixel, starts[face], (starts + np.float32(size - 1))[face]))
+        return pixels[0], pixels[1], face.astype(np.uint8)
 
     def bearings(self, uv: Pixels) -> tuple[Bearings, Mask]:
         """Return where pixels look, and which lie on a face."""

@@ -16,15 +16,15 @@ import cv2
 import numpy as np
 
 from sph_stab_ros.config import FisheyeConfig
-from sph_stab_ros.geometry.arrays import Bearings, Mask, Pixels, Plane, Raster
+from sph_stab_ros.geometry.arrays import Bearings, Faces, Mask, Pixels, Plane, Raster
 from sph_stab_ros.geometry.lens import Lens, lens_of
-from sph_stab_ros.geometry.pixel_map import PixelMap
+from sph_stab_ros.geometry.pixel_map import NOWHERE, PixelMap
 
 # Relative difference of width to height up to which a picture is taken for a scaled one.
 ASPECT_TOLERANCE = 0.005
 
 # u, v and the angle off the axis.
-LensPixels: TypeAlias = tuple[Plane, Plane, Plane]
+LensPixels: TypeAlias = tuple[Plane, ...]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Fisheye(PixelMap):
         """Width of an equirectangular image with as many pixels from zenith to horizon."""
         return 4 * round(self.lens.radius_px * min(self.lens.aspect, 1))
 
-    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
         """Return u, v of bearings, and which the circle and the picture show."""
         return _shown(self.lens.pixels(cv2.merge((x, y, z))), self.size_wh, self.max_angle_rad)
 
@@ -73,7 +73,7 @@ class DualFisheye(PixelMap):
         """Width of an equirectangular image with as many pixels from zenith to horizon."""
         return 4 * round(sum(lens.radius_px * min(lens.aspect, 1) for lens in self.lenses) / 2)
 
-    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
         """Return u, v of bearings in the circle of the nearer lens, and which it shows."""
         front, rear, share = self._both(x, y, z)
         return self._nearer(front, rear, share)
@@ -104,12 +104,12 @@ class DualFisheye(PixelMap):
     def read(self, image: Raster, x: Plane, y: Plane, z: Plane) -> Raster:
         """Return the values along bearings, where lenses overlap the mean by their shares."""
         front, rear, share = self._both(x, y, z)
-        *_, seen = self._nearer(front, rear, share)
+        *_, face = self._nearer(front, rear, share)
         of_front, of_rear = (
             cv2.remap(image, *one[:2], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             for one in (front, rear))
         values = cv2.blendLinear(of_front, of_rear, share, 1 - share)
-        values[~seen] = 0
+        values[face == NOWHERE] = 0
         return values
 
     def _both(self, x: Plane, y: Plane, z: Plane) -> tuple[LensPixels, LensPixels, Plane]:
@@ -121,21 +121,24 @@ class DualFisheye(PixelMap):
         return front, rear, np.clip(inside + np.float32(0.5), 0, 1)
 
     def _nearer(self, front: LensPixels, rear: LensPixels, share: Plane
-                ) -> tuple[Plane, Plane, Mask]:
-        u, v, theta = (np.where(share > 0.5, a, b) for a, b in zip(front, rear))
-        return _shown((u, v, theta), self.size_wh, self.max_angle_rad)
+                ) -> tuple[Plane, Plane, Faces]:
+        is_front = share > 0.5
+        u, v, face = _shown(
+            tuple(np.where(is_front, a, b) for a, b in zip(front, rear)), self.size_wh,
+            self.max_angle_rad)
+        return u, v, face | is_front
 
 
 def _shown(pixels: LensPixels, size_wh: tuple[int, int], max_angle_rad: float
-           ) -> tuple[Plane, Plane, Mask]:
-    """Return u, v within a picture, and which are in it and not too far off the axis."""
+           ) -> tuple[Plane, Plane, Faces]:
+    """Return u, v within a picture, and whether they are in it and not too far off the axis."""
     *uv, theta = pixels
     seen = theta <= max_angle_rad
     bounded = []
     for one, size in zip(uv, size_wh):
         seen &= (one >= -0.5) & (one <= size - 0.5)
         bounded.append(np.clip(one, 0, size - 1))
-    return bounded[0], bounded[1], seen
+    return bounded[0], bounded[1], np.uint8(NOWHERE) * ~seen
 
 
 def _looks(lens: Lens, uv: Pixels, max_angle_rad: float) -> tuple[Bearings, Mask]:

@@ -51,7 +51,7 @@ class Lens:
             xyz, self.R_camera_lens.inv().as_matrix().astype(xyz.dtype)))
         rho = np.hypot(x, y)
         theta = np.arctan2(rho, z)
-        scale = self.radius_px * self._bent(self._t(theta)) / self._bent(self._t(np.pi / 2))
+        scale = self._bent(self._t(theta)) * (self.radius_px / self._at_90)
         # On the axis x and y are zero.
         scale /= np.maximum(rho, 1e-9)
         return (x * scale + self.center_px[0], y * scale * self.aspect + self.center_px[1], theta)
@@ -60,7 +60,7 @@ class Lens:
         """Return where pixels (..., 2) look: unit vectors (..., 3) in the camera's frame."""
         offsets = (np.asarray(uv) - self.center_px) / (1, self.aspect)
         radius = np.linalg.norm(offsets, axis=-1)
-        target = radius / self.radius_px * self._bent(self._t(np.pi / 2))
+        target = radius / self.radius_px * self._at_90
         t = target.copy()
         for _ in range(10):
             t = np.clip(t - (self._bent(t) - target) / self._slope(t), 0, self._t(np.pi))
@@ -80,6 +80,10 @@ class Lens:
     def tells_apart(self, theta_rad: float) -> bool:
         """Tell whether all up to an angle off the axis lies the further out the larger it is."""
         return bool((self._slope(self._t(np.linspace(0, theta_rad, 100))) > 0).all())
+
+    @property
+    def _at_90(self) -> float:
+        return float(self._bent(self._t(np.pi / 2)))
 
     def _t(self, theta: Angle) -> Angle:
         return 2 * np.sin(theta / 2) if self.is_equisolid else theta

@@ -14,15 +14,18 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.arrays import Bearings, Grey, Mask, Pixels, Plane, Raster
+from sph_stab_ros.geometry.arrays import Bearings, Faces, Grey, Mask, Pixels, Plane, Raster
 from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.projection import bend, bent_cells, Picture, to_grey
 from sph_stab_ros.geometry.warp import equirect_warp
 
 # Pictures are reduced for a grey sphere so much smaller.
 MIN_REDUCTION = 0.75
-# Where what is not seen would lie: so far off that cells at the edge of what is seen are uneven.
+# The face of what is on none, and where that would lie in the picture: outside.
+NOWHERE = 255
 OUTSIDE_PX = -10000
+# By so many pixels of a sphere the mask keeps off the edge of what is seen.
+MARGIN_PX = 1.5
 
 Self = TypeVar('Self', bound='PixelMap')
 
@@ -31,8 +34,9 @@ class PixelMap(Protocol):
     """
     A Projection by two maps, bearings to pixels and pixels to bearings, and what is seen.
 
-    Wherever the first jumps or bends, at the edges of faces and of what is seen, cells are uneven
-    and computed pixel by pixel. What is not seen is black.
+    A picture may have several faces, between which the first map jumps. Cells across the edges of
+    faces and of what is seen, and those within which the map bends, are uneven and computed pixel
+    by pixel. What is on no face is not seen and black.
     """
 
     size_wh: tuple[int, int]
@@ -42,12 +46,12 @@ class PixelMap(Protocol):
     def sphere_width(self) -> int:
         """Width of an equirectangular image with as many pixels per radian."""
 
-    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
         """
-        Return u, v (h, w) of bearings of any length, and which are seen.
+        Return u, v (h, w) of bearings of any length, and on which face they are, if on any.
 
         Pixels lie within the centres of the outermost pixels of a face, as what lies beyond them
-        is another face, or nothing. Those of bearings that are not seen mean nothing.
+        is another face, or nothing. Those of bearings that are on none mean nothing.
         """
 
     def bearings(self, uv: Pixels) -> tuple[Bearings, Mask]:
@@ -57,13 +61,15 @@ class PixelMap(Protocol):
         """Return the projection of the picture at another size, squeezed perhaps."""
 
     def nodes(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
-        """Return u, v, far outside where nothing is seen, and the uneven cells."""
+        """Return u, v, outside where nothing is seen, and the uneven cells."""
         return self.nodes_at(*self.pixels(x, y, z))
 
-    def nodes_at(self, u: Plane, v: Plane, seen: Mask) -> tuple[Plane, Plane, Mask]:
-        """Return what ``nodes`` does, of pixels and of which are seen."""
-        u, v = (np.where(seen, one, np.float32(OUTSIDE_PX)) for one in (u, v))
-        return u, v, bent_cells(self.bend_px(u, v))
+    def nodes_at(self, u: Plane, v: Plane, face: Faces) -> tuple[Plane, Plane, Mask]:
+        """Return what ``nodes`` does, of pixels and their faces."""
+        u, v = (np.where(face == NOWHERE, np.float32(OUTSIDE_PX), one) for one in (u, v))
+        first = face[:-1, :-1]
+        uneven = (first != face[:-1, 1:]) | (first != face[1:, :-1]) | (first != face[1:, 1:])
+        return u, v, uneven | bent_cells(self.bend_px(u, v))
 
     def bend_px(self, u: Plane, v: Plane) -> Plane:
         """Return the second differences of nodes' pixels, as far as they matter."""
@@ -71,9 +77,9 @@ class PixelMap(Protocol):
 
     def read(self, image: Raster, x: Plane, y: Plane, z: Plane) -> Raster:
         """Return the values along bearings with bilinear weights, zero where nothing is seen."""
-        u, v, seen = self.pixels(x, y, z)
+        u, v, face = self.pixels(x, y, z)
         values = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        values[~seen] = 0
+        values[face == NOWHERE] = 0
         return values
 
     def grey_sphere(self, frame: Picture, width: int) -> Grey:
@@ -89,9 +95,11 @@ class PixelMap(Protocol):
 
     def seen(self, width: int) -> Mask | None:
         """Return which pixels of a sphere (width / 2, width) show the world; None are all."""
-        *_, seen = self.pixels(*cv2.split(bearing_grid(width)))
-        if seen.all():
-            return None
-        # What is read across the edge of what is seen is half black.
-        around = cv2.copyMakeBorder(np.uint8(seen), 0, 0, 1, 1, cv2.BORDER_WRAP)
-        return cv2.erode(around, np.ones((3, 3), np.uint8))[:, 1:-1] > 0
+        x = bearing_grid(width)
+        step = np.float32(MARGIN_PX * 2 * np.pi / width)
+        seen = np.ones(x.shape[:2], bool)
+        # Off by that in any direction it is still seen.
+        for nudge in np.concatenate((np.zeros((1, 3)), np.eye(3), -np.eye(3))):
+            *_, face = self.pixels(*cv2.split(x + step * nudge.astype(np.float32)))
+            seen &= face != NOWHERE
+        return None if seen.all() else seen
