@@ -97,9 +97,12 @@ class Cubemap(PixelMap):
         axes, corners = faces(self.layout)
         xyz = np.zeros((*uv.shape[:-1], 3))
         shown = np.zeros(uv.shape[:-1], bool)
+        width, height = self._face_wh
+        column = (uv[..., 0] + 0.5 - self.padding_uv_px[0]) // width
+        row = (uv[..., 1] + 0.5) // (height + 2 * self.padding_uv_px[1])
         for face, place in enumerate(corners):
-            in_place = (uv + 0.5) * (self.layout.columns, self.layout.rows) / self.size_wh - place
-            mine = ((in_place >= 0) & (in_place < 1)).all(axis=-1)
+            # Of what is beside the bands the nearest face.
+            mine = (np.clip(column, 0, self.layout.columns - 1) == place[0]) & (row == place[1])
             start = np.array([self._starts(i, corners)[face] for i in range(2)])
             across = (uv[mine] + 0.5 - start) * 2 / self._face_wh - 1
             if self.equi_angular:
