@@ -16,11 +16,15 @@ import numpy as np
 from projection_pictures import picture_of, PICTURES, pixel_grid, projection_named
 import pytest
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.config import StabilizerConfig
+from sph_stab_ros.config import settings_of, StabilizerConfig
+from sph_stab_ros.config.parameter_file import read_parameter_files
 from sph_stab_ros.geometry.equirect import bearing_grid
+from sph_stab_ros.geometry.fisheye import DualFisheye, Fisheye
+from sph_stab_ros.geometry.masks import share_of_sphere
 from sph_stab_ros.geometry.pixel_map import NOWHERE
 from sph_stab_ros.geometry.projection import TOLERANCE_PX
-from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionError
+from sph_stab_ros.geometry.projection_factory import (
+    check_projection, projection_of, ProjectionError)
 from sph_stab_ros.geometry.warp import equirect_warp, perspective_view, perspective_warp
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.pipeline import Stabilizer
@@ -30,7 +34,6 @@ from synthetic import angle_deg, textured_sphere, unit
 EACH = pytest.mark.parametrize('name', PICTURES)
 MAX_ROUND_TRIP_DEG = 0.02
 MIN_PSNR_DB = 35.
-PHOTO = Path(__file__).parents[2] / '../shared/data/photos/petra.jpg'
 # Along axes, across edges and into corners of cubes, around poles and the seam, and anywhere.
 LOOKS = Rotation.from_euler('YX', [
     (0, 0), (45, 0), (90, 45), (180, 0), (0, 90), (0, -90), (135, 35.3), (-45, -35.3), (17, 71)],
@@ -110,11 +113,10 @@ def test_every_pixel_is_read_from_where_it_looks(name, R):
 
 
 @pytest.fixture(scope='module')
-def photo():
+def photo(shared_data):
     """Return a real photo of a sphere, 2048 px wide, with no more detail than a sphere of 1024."""
-    if not PHOTO.exists():
-        pytest.skip('no photo')
-    small = cv2.resize(cv2.imread(str(PHOTO)), (1024, 512), interpolation=cv2.INTER_AREA)
+    path = shared_data / 'photos' / 'petra.jpg'
+    small = cv2.resize(cv2.imread(str(path)), (1024, 512), interpolation=cv2.INTER_AREA)
     soft = cv2.GaussianBlur(cv2.copyMakeBorder(small, 0, 0, 16, 16, cv2.BORDER_WRAP), (0, 0), 1.2)
     wide = cv2.resize(soft, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
     return np.ascontiguousarray(wide[:, 32:-32])
@@ -232,6 +234,22 @@ def test_youtubes_faces_lie_in_two_bands(bearing, pixel):
 def test_other_pictures_are_refused(size_wh, config, reason):
     with pytest.raises(ProjectionError, match=reason):
         projection_of(size_wh, config)
+
+
+@pytest.mark.parametrize('name, size_wh, kind', [
+    ('theta_s', (1920, 1080), DualFisheye), ('gear360', (1280, 720), DualFisheye),
+    ('gear360', (3840, 1920), DualFisheye), ('fisheye', (1080, 1080), Fisheye)])
+def test_files_of_cameras_fit_their_pictures(name, size_wh, kind):
+    path = Path(__file__).parents[2] / 'config' / f'{name}.yaml'
+    config = settings_of(read_parameter_files([path])).config
+    check_projection(config)
+    projection = projection_of(size_wh, config)
+    assert type(projection) is kind
+    seen = projection.seen(256)
+    # All around, or what a cone of half the field of view holds, but for the edge.
+    expected = (1 - np.cos(np.deg2rad(config.fisheye.fov_deg / 2))) / 2
+    assert (seen is None if kind is DualFisheye
+            else share_of_sphere(seen) == pytest.approx(expected, abs=0.02))
 
 
 def test_stretched_circles_are_read_where_the_calibration_says_so():
