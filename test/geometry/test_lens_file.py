@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.calibration.file import read_calibration
 from sph_stab_ros.config import (
-    ConfigError, DUAL_FISHEYE, EQUISOLID, FISHEYE, FisheyeConfig, LensConfig, StabilizerConfig)
+    DUAL_FISHEYE, EQUISOLID, FISHEYE, FisheyeConfig, LensConfig, StabilizerConfig)
 from sph_stab_ros.geometry.lens import lens_of
 from sph_stab_ros.geometry.projection_factory import check_projection, projection_of
 from sph_stab_ros.replay import arguments
@@ -76,7 +76,7 @@ def opencv_pixels(xyz):
 
 
 def bearings(max_angle_deg, count=300):
-    """Return bearings (N, 3) not too far off the axis z."""
+    """Return vectors (N, 3) that are not too far off the axis z."""
     x = unit(np.random.default_rng(0).normal(size=(20 * count, 3)))
     return x[x[:, 2] > np.cos(np.deg2rad(max_angle_deg))][:count]
 
