@@ -51,7 +51,7 @@ class Lens:
             xyz, self.R_camera_lens.inv().as_matrix().astype(xyz.dtype)))
         rho = np.hypot(x, y)
         theta = np.arctan2(rho, z)
-        scale = self._bent(self._t(theta)) * (self.radius_px / self._at_90)
+        scale = self.radius_px * self._bent(self._t(theta)) / self._at_90
         # On the axis x and y are zero.
         scale /= np.maximum(rho, 1e-9)
         return (x * scale + self.center_px[0], y * scale * self.aspect + self.center_px[1], theta)
