@@ -95,7 +95,8 @@ class Cubemap(PixelMap):
     def bearings(self, uv: Pixels) -> tuple[Bearings, Mask]:
         """Return where pixels look, and which lie on a face."""
         axes, corners = faces(self.layout)
-        xyz = np.zeros((*uv.shape[:-1], 3))
+        # Of places without a face: ahead.
+        xyz = np.tile((0., 0., 1.), (*uv.shape[:-1], 1))
         shown = np.zeros(uv.shape[:-1], bool)
         width, height = self._face_wh
         column = (uv[..., 0] + 0.5 - self.padding_uv_px[0]) // width
