@@ -1,0 +1,45 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Gaps in a stream by the times of its pictures."""
+
+from sph_stab_ros.images.picture_time import Stamp
+
+# By so many pictures since a key picture it is known how often they come.
+MEASURED = 8
+
+
+class GapClock:
+    """Tells by the times of pictures, in the order of decoding, whether many may be missing."""
+
+    def __init__(self) -> None:
+        self._first = self._last = Stamp(None)
+        self._count = 0
+
+    def add(self, stamp: Stamp) -> None:
+        """Note the times of a picture."""
+        if not self._count:
+            self._first = self._last = stamp
+        self._count += 1
+        # Not all are in the order of presentation.
+        self._last = Stamp(*(new if old is None or new is not None and new > old else old
+                             for old, new in zip(self._last, stamp)))
+
+    def is_gap(self, stamp: Stamp, wrap: int) -> bool:
+        """
+        Tell whether so many may be missing that the numbers of pictures began again.
+
+        Where there are stamps and times of receipt, both must say so: clocks are set, and
+        messages held up.
+        """
+        if self._count < MEASURED:
+            return False
+        said = [new - last > (wrap - 1) * (last - first) / (self._count - 1) > 0
+                for first, last, new in zip(self._first, self._last, stamp)
+                if first is not None and last is not None and new is not None]
+        return bool(said) and all(said)
