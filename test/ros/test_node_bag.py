@@ -13,6 +13,7 @@ from time import monotonic
 from unittest import mock
 
 import pytest
+from sph_stab_ros.images.codec import stamp_and_frame
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.replay import main as replay
 from tiny_recordings import IMAGE_TOPIC, turning_spheres, write_bag
@@ -22,6 +23,7 @@ from node_harness import DOMAINS  # noqa: E402, I100
 from rclpy.publisher import Publisher  # noqa: E402
 from sensor_msgs.msg import CompressedImage  # noqa: E402
 from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
+from sph_stab_ros.ros.image_input import ReceivedImage  # noqa: E402
 from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
 
 ARGUMENTS = [
@@ -63,7 +65,9 @@ def published(camera_bag):
         with mock.patch.object(Publisher, 'publish', publish), \
                 mock.patch.object(Publisher, 'get_subscription_count', lambda _: 1):
             for _, recorded in open_recording(camera_bag).messages(IMAGE_TOPIC):
-                node._track(copy_fields(recorded, CompressedImage()), monotonic())
+                node._track(ReceivedImage(
+                    copy_fields(recorded, CompressedImage()), *stamp_and_frame(recorded),
+                    monotonic()))
                 node._draw(*node._drawing._mailbox.get())
         node.destroy_node()
     finally:

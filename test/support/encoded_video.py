@@ -15,6 +15,9 @@ from types import SimpleNamespace
 import av
 import numpy as np
 import pytest
+from sph_stab_ros.images.codec import ImageError, stamp_and_frame
+from sph_stab_ros.images.message_decoder import MessageDecoder
+from sph_stab_ros.images.picture_time import Stamp
 from tiny_recordings import turning_spheres
 
 KEY_PERIOD, COUNT, WIDTH = 8, 24, 128
@@ -37,6 +40,7 @@ STREAMS = {
     'av1 hidden': ('libsvtav1', {'preset': '11'})}
 # Those in which decoding begins with key pictures only, at known places.
 CLOSED = ('h264', 'h264 B', 'h265', 'h265 B', 'av1', 'av1 hidden')
+PERIOD_NS = 33_333_333
 DECODERS = {'h264': 'h264', 'h265': 'hevc', 'av1': 'libdav1d'}
 
 
@@ -73,7 +77,7 @@ def pictures(name):
 
 def decode(packets, name):
     """Return BGR pictures by index, decoded as a video file would be."""
-    context = av.CodecContext.create(DECODERS[name[:4].strip()], 'r')
+    context = av.CodecContext.create(DECODERS[codec_of(name)], 'r')
     frames = []
     for index, data in packets:
         packet = av.Packet(data)
@@ -90,7 +94,7 @@ def keys(name):
 
 def message(data, format='h264', index=0):  # noqa: A002
     """Return what looks like a CompressedImage."""
-    stamp = SimpleNamespace(sec=1000, nanosec=index * 33_333_333)
+    stamp = SimpleNamespace(sec=1000, nanosec=index * PERIOD_NS)
     return SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id='camera'), format=format,
                            data=np.frombuffer(data, np.uint8))
 
@@ -106,3 +110,40 @@ def video_message(data, format='h264', index=0):  # noqa: A002
     msg = message(data, index=index)
     return SimpleNamespace(timestamp=msg.header.stamp, frame_id='camera', data=msg.data,
                            format=format)
+
+
+MESSAGES = {'CompressedImage': message, 'FFMPEGPacket': packet_message,
+            'CompressedVideo': video_message}
+
+
+def codec_of(name):
+    return name.split()[0]
+
+
+def outcomes(packets, name, make=message, said=None):
+    """Return (index, picture or ImageError) of messages with these packets."""
+    decoder = MessageDecoder([].append if said is None else said.append)
+    found = []
+    for index, data in packets:
+        msg = make(data, codec_of(name), index)
+        found += decoder.decode(msg, index, Stamp(stamp_and_frame(msg)[0]))
+    return found + [*decoder.flush()]
+
+
+def given_pictures(found):
+    """Return the pictures by index, in their order; check that there is one outcome for each."""
+    assert len({index for index, _ in found}) == len(found)
+    shown = {index: source.image for index, source in found
+             if not isinstance(source, ImageError)}
+    assert list(shown) == sorted(shown)
+    return shown
+
+
+def check_right(shown, name):
+    """Check that pictures are those of the whole stream, to the last bit."""
+    for index, image in shown.items():
+        assert np.array_equal(image, pictures(name)[index]), (name, index)
+
+
+def reasons(found):
+    return [source.reason for _, source in found if isinstance(source, ImageError)]

@@ -62,10 +62,13 @@ class Av1:
 
     def look(self, data: bytes) -> Unit:
         """Return what the next message is; Unreadable where it does not tell."""
-        has_picture = is_key = False
+        has_parameters = has_picture = is_key = False
         shown: list[int] = []
+        if not data:
+            raise Unreadable('it is empty')
         for kind, layers, content in obus(data):
             if kind == SEQUENCE_HEADER:
+                has_parameters = True
                 self._sequence = read_sequence(Bits(content))
                 self.wrap = 1 << max(self._sequence.order_hint_bits, 3)
             elif kind in (FRAME_HEADER, FRAME):
@@ -77,11 +80,11 @@ class Av1:
         follows = not shown or self._shown is None or (shown[0] - self._shown) % self.wrap == 1
         # There are several in layers of one picture, which have one number.
         self._shown = shown[-1] if shown else self._shown
-        return Unit(data, has_picture, is_key, follows=is_key or follows)
+        return Unit(data, has_parameters, has_picture, is_key, follows=is_key or follows)
 
     def _read_frame(self, bits: Bits, sequence: Sequence, layers: tuple[int, int]
                     ) -> tuple[bool, int | None]:
-        """Return whether a frame header shows a key picture, and the order hint of what it does."""
+        """Return whether a frame header shows a key picture, and the order hint of what it is."""
         if sequence.reduced_still_picture_header:
             return True, None
         if bits.u(1):

@@ -25,16 +25,19 @@ class Unit(NamedTuple):
     """
     What a message says about itself.
 
-    ``data`` is what to decode of it. ``has_picture``: it is more than parameters. ``is_key``:
+    ``data`` is what to decode of it, a picture or parameters, or both, or neither. ``is_key``:
     decoding can begin with it, unless the stream lacks parameters; ``needs_any``: if the decoder
-    has been given other pictures, whatever they show. ``follows``: as far as it tells, no picture
+    has been given other pictures, whatever they show; ``is_closed``: nothing behind it needs
+    anything before it. ``follows``: as far as it tells, no picture
     that it may need is missing between it and the one before.
     """
 
     data: bytes
+    has_parameters: bool
     has_picture: bool
     is_key: bool = False
     needs_any: bool = False
+    is_closed: bool = False
     follows: bool = True
 
 
@@ -84,6 +87,8 @@ class Bits:
 def nal_units(data: bytes) -> Iterator[bytes]:
     """Yield the beginnings of the NAL units in a message (Annex B), freed of escapes."""
     start = data.find(START_CODE)
+    if start < 0:
+        raise Unreadable('it has no start codes')
     while start >= 0:
         begin = start + len(START_CODE)
         following = data.find(START_CODE, begin)

@@ -22,7 +22,7 @@ from typing import Any, Generic, NamedTuple, TYPE_CHECKING, TypeAlias, TypeVar
 from sph_stab_ros.images.image_error import DecoderMissing, ImageError
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.video.av1 import Av1
-from sph_stab_ros.images.video.bits import Stream, Unreadable
+from sph_stab_ros.images.video.bits import Stream, Unit, Unreadable
 from sph_stab_ros.images.video.gap_clock import GapClock
 from sph_stab_ros.images.video.h264 import H264
 from sph_stab_ros.images.video.h265 import H265
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 INSTALL = "needs PyAV: pip install 'av>=16,<19'"
 NO_KEY, MISSING, DAMAGED, NOT_SHOWN = (
     'no key picture', 'missing picture', 'damaged picture', 'picture not shown')
-# More are not decoded before they are shown.
-MOST_WAITING = 32
+# More are not decoded between a picture and when it is shown: 16, and some more.
+MOST_BETWEEN = 20
 # Parameters of no picture, in bytes.
 MOST_AHEAD = 2**16
 
@@ -48,8 +48,9 @@ class Codec(NamedTuple):
     """
     How something is decoded.
 
-    Several threads for one picture cost no delay, several pictures at a time would; H.264's
-    decoder does not notice errors by several threads.
+    ``threads`` is how many work on a picture, 0 as many as there are cores; several pictures at a
+    time would be delayed. A lenient decoder decodes anything: pictures before a key picture, which
+    it does not show, and damaged ones, of which it tells when these are shown.
     """
 
     name: str
@@ -57,12 +58,13 @@ class Codec(NamedTuple):
     stream: Callable[[], Stream]
     threads: int = 0
     options: Mapping[str, str] = {}
-    # Whether the decoder is given pictures before a key picture, too, which it does not show.
-    is_primed: bool = False
+    is_lenient: bool = False
 
 
 CODECS = {
-    'h264': Codec('H.264', 'h264', H264, threads=1, is_primed=True),
+    # By several threads it would not notice errors; were it strict, it would not begin with open
+    # groups of pictures.
+    'h264': Codec('H.264', 'h264', H264, threads=1, is_lenient=True),
     # Else it leaves out without a word what needs a missing picture.
     'h265': Codec('H.265', 'hevc', H265, options={'err_detect': 'explode'}),
     'av1': Codec('AV1', 'libdav1d', Av1, options={'max_frame_delay': '1'})}
@@ -93,8 +95,10 @@ class VideoDecoder(Generic[Item]):
         # Pictures passed over since there was none to begin with; None while decoding.
         self._passed: int | None = 0
         self._is_primed = False
-        # By the numbers that the decoder gives back.
+        # By the number in the order of decoding what has no outcome yet, and the pictures of it
+        # that there are, in the order of presentation.
         self._waiting: dict[int, Item] = {}
+        self._pictures: dict[int, VideoPicture] = {}
         self._number = 0
         # Parameters that came by themselves.
         self._ahead = b''
@@ -107,34 +111,42 @@ class VideoDecoder(Generic[Item]):
             yield from self._give_up()
             yield from self._pass(item, DAMAGED, str(error))
             return
+        if unit.has_parameters:
+            # Those of a picture are its own; no more than what comes between two pictures.
+            self._ahead = b'' if unit.has_picture else (self._ahead + unit.data)[-MOST_AHEAD:]
         if not unit.has_picture:
-            # No more than what comes between two pictures.
-            self._ahead = (self._ahead + unit.data)[-MOST_AHEAD:]
             return
-        data, self._ahead = self._ahead + unit.data, b''
         reason, detail = NO_KEY, 'it needs others before it'
         is_gap = not unit.follows or self._clock.is_gap(stamp, self._stream.wrap)
         if is_gap and self._passed is None:
             yield from self._give_up()
             reason, detail = MISSING, 'one or more before it are missing'
+        elif unit.is_closed and self._codec.is_lenient:
+            # Before it is known whether those before are whole, others would be mixed with them.
+            yield from self._give_up()
         if self._passed is not None:
             is_key = unit.is_key and (self._is_primed or not unit.needs_any)
             if not is_key or not self._stream.is_configured:
-                self._prime(data)
+                self._prime(unit.data)
                 if is_key:
                     detail = 'key pictures come without their parameters'
                 yield from self._pass(item, reason, detail)
                 return
-            self._begin()
-        self._clock.add(stamp)
-        yield from self._decoded(data, item)
+            self._begin(unit)
+        self._clock.add(stamp, unit.is_key)
+        yield from self._decoded(unit.data, item)
 
-    def _begin(self) -> None:
-        """Say what was passed over, and decode from now on."""
+    def _begin(self, unit: Unit) -> None:
+        """Say what was passed over, and decode from this key picture on."""
         if self._passed:
+            self._clock.restart()
             self._say(f'{self._codec.name}: pictures passed over before a key picture: '
                       f'{self._passed}')
-        self._passed, self._clock = None, GapClock()
+            if not unit.needs_any:
+                # What is left of slices that were missing shows in the next picture.
+                self._prime(unit.data)
+                self._flush()
+        self._passed = None
 
     def flush(self) -> Iterator[Outcome[Item]]:
         """Yield what is left at the end of the stream."""
@@ -145,7 +157,7 @@ class VideoDecoder(Generic[Item]):
                       f'end: {passed}')
 
     def _decoded(self, data: bytes, item: Item) -> Iterator[Outcome[Item]]:
-        packet = self._av.Packet(data)
+        packet = self._packet(data)
         self._number += 1
         packet.pts = self._number
         self._waiting[self._number] = item
@@ -155,15 +167,18 @@ class VideoDecoder(Generic[Item]):
             self._waiting.pop(self._number, None)
             yield from self._give_up()
             yield from self._pass(item, DAMAGED, f'it cannot be decoded ({error.strerror})')
-        if len(self._waiting) > MOST_WAITING:
-            yield self._not_shown(min(self._waiting))
 
     def _prime(self, data: bytes) -> None:
         """Let the decoder have a picture that will not be shown, where that helps."""
-        if self._codec.is_primed:
+        if self._codec.is_lenient:
             with suppress(self._av.FFmpegError):
-                self._context.decode(self._av.Packet(data))
+                self._context.decode(self._packet(data))
                 self._is_primed = True
+
+    def _packet(self, data: bytes) -> 'av.Packet[Any]':
+        """Return what the decoder is given next, the parameters that came before included."""
+        data, self._ahead = self._ahead + data, b''
+        return self._av.Packet(data)
 
     def _shown(self, frames: Iterable['av.VideoFrame']) -> Iterator[Outcome[Item]]:
         """Yield the pictures that a decoder gave; begin anew where one is damaged."""
@@ -171,13 +186,28 @@ class VideoDecoder(Generic[Item]):
             if frame.pts not in self._waiting:
                 continue
             if frame.is_corrupt:
-                # Those behind it may be made of it.
+                # Others may be made of it.
                 for number in sorted(self._waiting):
                     yield from self._pass(
                         self._waiting.pop(number), DAMAGED, 'the decoder found errors')
+                self._pictures.clear()
                 self._flush()
                 return
-            yield self._waiting.pop(frame.pts), VideoPicture(frame)
+            self._pictures[frame.pts] = VideoPicture(frame)
+        yield from self._proved()
+
+    def _proved(self, at_end: bool = False) -> Iterator[Outcome[Item]]:
+        """Yield the pictures that are made of none which may still turn out damaged."""
+        oldest = self._number + 1 if at_end else self._number - MOST_BETWEEN
+        for number in sorted(self._waiting.keys() - self._pictures.keys()):
+            if number < oldest:
+                yield self._waiting.pop(number), ImageError(
+                    NOT_SHOWN, f'the decoder of {self._codec.name} leaves it out')
+        missing = self._waiting.keys() - self._pictures.keys()
+        for number in list(self._pictures):
+            if self._codec.is_lenient and min(missing, default=number) < number:
+                break
+            yield self._waiting.pop(number), self._pictures.pop(number)
 
     def _give_up(self) -> Iterator[Outcome[Item]]:
         """Yield the pictures that can still be shown, and wait for a key picture."""
@@ -188,18 +218,13 @@ class VideoDecoder(Generic[Item]):
         except self._av.FFmpegError:
             frames = []
         yield from self._shown(frames)
-        for number in sorted(self._waiting):
-            yield self._not_shown(number)
+        yield from self._proved(at_end=True)
         self._flush()
         self._passed = self._passed or 0
 
     def _flush(self) -> None:
         self._context.flush_buffers()
         self._is_primed = False
-
-    def _not_shown(self, number: int) -> Outcome[Item]:
-        return self._waiting.pop(number), ImageError(
-            NOT_SHOWN, f'the decoder of {self._codec.name} leaves it out')
 
     def _pass(self, item: Item, reason: str, detail: str) -> Iterator[Outcome[Item]]:
         """Yield that there is no picture, and count it."""

@@ -40,9 +40,10 @@ class H264:
 
     def look(self, data: bytes) -> Unit:
         """Return what the next message is; Unreadable where it does not tell."""
-        recovers = False
+        has_parameters = recovers = False
         for unit in nal_units(data):
             kind = unit[0] & 31
+            has_parameters |= kind in (SPS, PPS)
             if kind == SPS:
                 self._read_sps(Bits(unit[1:]))
             elif kind == PPS:
@@ -52,13 +53,15 @@ class H264:
             elif kind == SEI:
                 recovers |= is_recovery_point(unit[1:])
             elif kind in (SLICE, PARTITION_A, IDR):
-                return self._picture(data, unit, kind == IDR, recovers)
-        return Unit(data, False)
+                return self._looked_into(
+                    unit, Unit(data, has_parameters, True, kind == IDR or recovers,
+                               is_closed=kind == IDR))
+        return Unit(data, has_parameters, False)
 
-    def _picture(self, data: bytes, unit: bytes, is_idr: bool, recovers: bool) -> Unit:
-        """Return what a picture is by its first slice, which follows a recovery point or not."""
+    def _looked_into(self, unit: bytes, found: Unit) -> Unit:
+        """Return what was found of a picture, with what its first slice tells besides."""
         if not self.is_configured:
-            return Unit(data, True, is_idr or recovers)
+            return found
         bits = Bits(unit[1:])
         bits.ue()
         is_intra = bits.ue() % 5 == INTRA
@@ -73,10 +76,10 @@ class H264:
             self._last_reference = number
         # A gradual refresh begins with a picture like others; the decoder makes up what that
         # needs by the numbers before it, if there are any.
-        needs_any = not is_idr and not is_intra and number <= 1
+        needs_any = not found.is_closed and not is_intra and number <= 1
         # The two fields of a frame have one number.
-        follows = is_idr or last is None or (number - last) % self.wrap <= 1
-        return Unit(data, True, is_idr or recovers, needs_any, follows)
+        follows = found.is_closed or last is None or (number - last) % self.wrap <= 1
+        return found._replace(needs_any=needs_any, follows=follows)
 
     def _read_sps(self, bits: Bits) -> None:
         profile = bits.u(8)

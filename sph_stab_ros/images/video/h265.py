@@ -35,16 +35,18 @@ class H265:
 
     def look(self, data: bytes) -> Unit:
         """Return what the next message is, without what only informs."""
-        has_sei = recovers = False
+        has_parameters = has_sei = recovers = False
         for unit in nal_units(data):
             kind = kind_of(unit)
+            has_parameters |= kind in PARAMETERS
             self._missing.discard(kind)
             if kind == SEI:
                 has_sei = True
                 recovers |= is_recovery_point(unit[2:])
             elif kind in SLICES:
-                return Unit(without_sei(data) if has_sei else data, True, kind in KEYS or recovers)
-        return Unit(data, False)
+                return Unit(without_sei(data) if has_sei else data, has_parameters, True,
+                            kind in KEYS or recovers)
+        return Unit(data, has_parameters, False)
 
 
 def kind_of(unit: bytes) -> int:
