@@ -71,8 +71,8 @@ def test_a_stream_whose_parameters_are_missing_is_told_of():
              'h264_vaapi', 'h264;yuv420p;bgr8;bgr8', 'bgr8; h264 compressed bgr8'],
     'h265': ['h265', 'H.265', 'hevc', 'HEVC', 'libx265', 'hevc_nvenc', 'hevc;nv12;bgr8;bgr8'],
     'av1': ['av1', 'AV1', 'libsvtav1', 'libaom-av1', 'av1_nvenc', 'av01'],
-    None: ['jpeg', 'bgr8; jpeg compressed bgr8', 'png', '16UC1; compressedDepth', 'vp9', '', 'mp4v',
-           'rgb8; png compressed', 'mjpeg', 'webp', 'theora']}.items())
+    None: ['jpeg', 'bgr8; jpeg compressed bgr8', 'png', '16UC1; compressedDepth', 'vp9', '',
+           'rgb8; png compressed', 'mjpeg', 'mp4v', 'webp', 'theora']}.items())
 def test_formats_are_known_by_what_senders_write(codec, texts):
     for text in texts:
         for make in MESSAGES.values():
@@ -135,7 +135,8 @@ def test_a_picture_is_given_as_is_asked_for():
         picture = Frame(source, index)
         rows = frame.to_ndarray(format='yuv420p')
         assert picture.size_wh == (128, 64)
-        assert np.array_equal(np.vstack([plane.reshape(-1, 128) for plane in picture.planes]), rows)
+        planes = [plane.reshape(-1, 128) for plane in picture.planes]
+        assert np.array_equal(np.vstack(planes), rows)
         assert np.array_equal(picture.grey(), rows[:64])
         picture.load()
         assert np.array_equal(picture.grey(32), rows[:64])
