@@ -30,11 +30,13 @@ class MessageDecoder(Generic[Item]):
     ----------
     say
         Told in one line of what users should hear of.
+    is_live
+        Whether pictures are not to wait, see VideoDecoder.
 
     """
 
-    def __init__(self, say: Callable[[str], Any]) -> None:
-        self._say = say
+    def __init__(self, say: Callable[[str], Any], is_live: bool = False) -> None:
+        self._say, self._is_live = say, is_live
         self._codec: str | None = None
         self._video: VideoDecoder[Item] | None = None
 
@@ -50,7 +52,8 @@ class MessageDecoder(Generic[Item]):
             return
         if self._video is None or codec != self._codec:
             yield from self.flush()
-            self._codec, self._video = codec, VideoDecoder(codec, self._say)
+            self._codec, self._video = codec, VideoDecoder(
+                codec, self._say, self._is_live)
         yield from self._video.decode(bytes(msg.data), item, stamp)
 
     def flush(self) -> Iterator[tuple[Item, PictureSource | ImageError]]:

@@ -68,7 +68,7 @@ class ImageInput:
         self._take = take
         self._diagnostics = diagnostics
         self._decoder: MessageDecoder[ReceivedImage] = MessageDecoder(
-            lambda text: diagnostics.event('key_picture', text))
+            lambda text: diagnostics.event('key_picture', text), is_live=True)
         self._decoding = Worker('decoding', self._decode, MOST_UNDECODED)
         images = subscribe_to_images(node, 'image', transport, self._on_image)
         self.topic_name: str = images.topic_name

@@ -12,10 +12,9 @@ import re
 from types import SimpleNamespace
 from unittest import mock
 
-import av
 import cv2
 from encoded_video import (
-    codec_of, COUNT, encode, KEY_PERIOD, message, MESSAGES, outcomes, PERIOD_NS, pictures,
+    av, codec_of, COUNT, encode, KEY_PERIOD, message, MESSAGES, outcomes, PERIOD_NS, pictures,
     reasons, stream)
 import numpy as np
 import pytest

@@ -53,19 +53,19 @@ def heard(peer, topic='orientation'):
     return [(stamp_ns(msg) - START_NS) // PERIOD_NS for msg in peer.received[topic]]
 
 
-def send_all(peer, packets, codec='h264'):
-    """Publish packets, each when the one before was taken note of; return the last values."""
-    values = peer.diagnostics(lambda values: True)
+def send_shown(peer, packets, codec='h264'):
+    """Publish packets, each when there is an orientation for the one before."""
     for packet in packets:
-        told = len(peer.received['orientation']) + refused(values)
         send(peer, packet, codec)
-        values = peer.diagnostics(
-            lambda values: len(peer.received['orientation']) + refused(values) > told)
-    return values
+        peer.wait_until(lambda: heard(peer)[-1:] == [packet[0]])
 
 
-def refused(values):
-    return int(values['refused'])
+def send_refused(peer, packets, codec='h264'):
+    """Publish packets of which nothing comes; return what is said of them."""
+    before = int(peer.diagnostics(lambda values: True)['refused'])
+    for packet in packets:
+        send(peer, packet, codec)
+    return peer.diagnostics(lambda values: int(values['refused']) == before + len(packets))
 
 
 def test_transports_are_those_that_can_be_chosen():
@@ -78,13 +78,11 @@ def test_begun_anywhere_the_node_waits_for_a_key_picture_and_says_so(tmp_path, s
     first = KEY_PERIOD - 3
     with stabilizer(tmp_path, *QUICK, topics=('orientation', '/diagnostics'),
                     compressed=True) as peer:
-        values = send_all(peer, packets[first:KEY_PERIOD], name)
+        values = send_refused(peer, packets[first:KEY_PERIOD], name)
         assert values['refused: no key picture'] == '3'
         assert values['message'] == 'images are refused: no key picture'
         assert not heard(peer)
-        for packet in packets[KEY_PERIOD:]:
-            send(peer, packet, name)
-            peer.wait_until(lambda: heard(peer)[-1:] == [packet[0]])
+        send_shown(peer, packets[KEY_PERIOD:], name)
         assert heard(peer) == [*range(KEY_PERIOD, COUNT)]
         peer.diagnostics(lambda values: values['message'] == 'ok')
         assert peer.output().count('pictures passed over before a key picture: 3') == 1
@@ -111,14 +109,13 @@ def test_behind_a_lost_message_nothing_is_shown_up_to_the_next_key_picture(tmp_p
     packets, lost = encode(spheres, 'h264'), 3
     with stabilizer(tmp_path, *QUICK, topics=('orientation', '/diagnostics'),
                     compressed=True) as peer:
-        values = send_all(peer, packets[:lost] + packets[lost + 1:KEY_PERIOD])
+        send_shown(peer, packets[:lost])
+        values = send_refused(peer, packets[lost + 1:KEY_PERIOD])
         assert values['refused: missing picture'] == '1'
         assert values['refused: no key picture'] == '3'
         assert values['message'].startswith('images are refused: ')
         assert heard(peer) == [*range(lost)]
-        for packet in packets[KEY_PERIOD:]:
-            send(peer, packet)
-            peer.wait_until(lambda: heard(peer)[-1:] == [packet[0]])
+        send_shown(peer, packets[KEY_PERIOD:])
         assert heard(peer) == [*range(lost), *range(KEY_PERIOD, COUNT)]
         assert peer.output().count('pictures passed over before a key picture: 4') == 1
 
@@ -145,21 +142,17 @@ def test_what_a_full_queue_has_lost_is_waited_for(tmp_path, spheres):
     long = encode([spheres[index % COUNT] for index in range(130)], 'h264', key_period=120)
     with stabilizer(tmp_path, *QUICK, topics=('orientation', '/diagnostics'),
                     compressed=True) as peer:
-        for packet in long[:5]:
-            send(peer, packet)
-            peer.wait_until(lambda: heard(peer)[-1:] == [packet[0]])
+        send_shown(peer, long[:5])
         peer.process.send_signal(signal.SIGSTOP)
         try:
             for packet in long[5:100]:
                 send(peer, packet)
         finally:
             peer.process.send_signal(signal.SIGCONT)
-        values = peer.diagnostics(lambda values: 'refused: missing picture' in values)
-        values = send_all(peer, long[100:120])
-        assert not [index for index in heard(peer) if index >= 100], values
-        for packet in long[120:]:
-            send(peer, packet)
-            peer.wait_until(lambda: heard(peer)[-1:] == [packet[0]])
+        peer.diagnostics(lambda values: 'refused: missing picture' in values)
+        send_refused(peer, long[100:120])
+        send_shown(peer, long[120:])
+        assert not [index for index in heard(peer) if 100 <= index < 120]
         assert peer.output().count('pictures passed over before a key picture: ') == 1
 
 
@@ -169,7 +162,7 @@ def test_without_pyav_the_node_says_what_to_install(tmp_path, spheres, monkeypat
     packets = encode(spheres[:2], 'h264')
     with stabilizer(tmp_path, *QUICK, topics=('orientation', '/diagnostics'),
                     compressed=True) as peer:
-        values = send_all(peer, packets)
+        values = send_refused(peer, packets)
         assert values['refused: no decoder of H.264'] == '2'
         said = "H.264 in messages needs PyAV: pip install 'av>=16,<19'"
         assert peer.output().count(said) == 1

@@ -12,13 +12,15 @@ from fractions import Fraction
 from functools import cache
 from types import SimpleNamespace
 
-import av
 import numpy as np
 import pytest
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame
 from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import Stamp
 from tiny_recordings import turning_spheres
+
+# Who imports this is skipped without.
+av = pytest.importorskip('av')
 
 KEY_PERIOD, COUNT, WIDTH = 8, 24, 128
 X265 = 'log-level=none'

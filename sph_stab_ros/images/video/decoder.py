@@ -83,12 +83,16 @@ class VideoDecoder(Generic[Item]):
         One of the keys of CODECS; DecoderMissing where it cannot be decoded here.
     say
         Told in one line of what users should hear of.
+    is_live
+        Whether pictures are given as soon as they can be shown. Else they wait until it is known
+        that those which they are made of are whole, which a lenient decoder tells later.
 
     """
 
-    def __init__(self, codec: str, say: Callable[[str], Any]) -> None:
+    def __init__(self, codec: str, say: Callable[[str], Any], is_live: bool = False) -> None:
         self._codec = CODECS[codec]
         self._say = say
+        self._waits = self._codec.is_lenient and not is_live
         self._av, self._context = opened(self._codec)
         self._stream = self._codec.stream()
         self._clock = GapClock()
@@ -121,7 +125,7 @@ class VideoDecoder(Generic[Item]):
         if is_gap and self._passed is None:
             yield from self._give_up()
             reason, detail = MISSING, 'one or more before it are missing'
-        elif unit.is_closed and self._codec.is_lenient:
+        elif unit.is_closed and self._waits:
             # Before it is known whether those before are whole, others would be mixed with them.
             yield from self._give_up()
         if self._passed is not None:
@@ -197,7 +201,7 @@ class VideoDecoder(Generic[Item]):
         yield from self._proved()
 
     def _proved(self, at_end: bool = False) -> Iterator[Outcome[Item]]:
-        """Yield the pictures that are made of none which may still turn out damaged."""
+        """Yield what need not wait any more."""
         oldest = self._number + 1 if at_end else self._number - MOST_BETWEEN
         for number in sorted(self._waiting.keys() - self._pictures.keys()):
             if number < oldest:
@@ -205,7 +209,7 @@ class VideoDecoder(Generic[Item]):
                     NOT_SHOWN, f'the decoder of {self._codec.name} leaves it out')
         missing = self._waiting.keys() - self._pictures.keys()
         for number in list(self._pictures):
-            if self._codec.is_lenient and min(missing, default=number) < number:
+            if self._waits and min(missing, default=number) < number:
                 break
             yield self._waiting.pop(number), self._pictures.pop(number)
 
