@@ -21,6 +21,8 @@ from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import TrackingStatus
 from synthetic import angle_deg, random_rotation
 
+TRACKED = {TrackingStatus.OK, TrackingStatus.UNCERTAIN}
+
 
 def black():
     return np.zeros((WIDTH // 2, WIDTH), np.uint8)
@@ -126,11 +128,12 @@ def test_after_a_long_gap_the_old_world_is_found_again(seed):
     p_far = p - p[0] + rng.uniform(-0.7, 0.7, size=3)
     results = [tracker.track(room(*one, width=2 * WIDTH), (100 + i) * PERIOD_NS)
                for i, one in enumerate(zip(R_far, p_far))]
-    assert {one.status for one in results[1:]} == {TrackingStatus.OK}
+    assert {one.status for one in results[1:]} <= TRACKED
     errors = [angle_deg(one.R_world_camera, R) for one, R in zip(results, R_far)]
     assert errors[-1] < 2
     # At once, by features, or later; that it had been lost is no secret.
     for result, error_deg in zip(results, errors):
+        assert result.status is not TrackingStatus.OK or error_deg < 1
         assert result.status is TrackingStatus.LOST or (
             error_deg < 4 * np.rad2deg(np.sqrt(np.linalg.eigvalsh(result.covariance)[-1])))
     assert np.linalg.eigvalsh(results[-1].covariance)[-1] < np.deg2rad(3) ** 2
@@ -274,7 +277,7 @@ def test_a_keyframe_that_fails_is_given_up(monkeypatch):
         except np.linalg.LinAlgError:
             # The same frame once more, as a node does with the next one.
             assert tracker.track(room(Rotation.identity(), (0.05 * i, 0, 0)),
-                                 i * PERIOD_NS).status is TrackingStatus.OK
+                                 i * PERIOD_NS).status in TRACKED
     assert tried
 
 

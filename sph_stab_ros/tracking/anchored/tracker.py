@@ -31,7 +31,8 @@ from sph_stab_ros.tracking.anchored.prepared_frame import PreparedFrame
 from sph_stab_ros.tracking.anchored.relocalization import Relocalizer, SIGMA_RAD
 from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns, Thumbnail
 from sph_stab_ros.tracking.anchored.wide_baseline import locate_widely
-from sph_stab_ros.tracking.base import GyroRotation, no_gyro, TrackedOrientation, TrackingStatus
+from sph_stab_ros.tracking.base import (
+    GyroRotation, no_gyro, status_of, TrackedOrientation, TrackingStatus)
 from sph_stab_ros.tracking.motion_model import MotionModel
 
 # A new keyframe is made where fewer of the landmarks than these are seen, or where they have moved
@@ -46,8 +47,7 @@ MAX_FINE_S = 0.05
 MAX_CANDIDATES, MAX_ATTEMPTS = 6, 3
 # How a camera that was lost is turned nobody knows.
 LOST_RAD = 1.
-# How quickly the usual scale of residuals follows that of each frame.
-SCALE_RATE = 0.1
+SCALE_RATE = 0.1  # at which the usual scale of residuals follows that of each frame
 
 
 class AnchoredTracker:
@@ -127,8 +127,8 @@ class AnchoredTracker:
             if self._is_keyframe(localization):
                 self._keyframe_to_add = frame, localization
         return TrackedOrientation(
-            self._correction.R_out_world * self._motion.R_world_camera, TrackingStatus.OK,
-            self._covariance)
+            self._correction.R_out_world * self._motion.R_world_camera,
+            status_of(self._covariance), self._covariance)
 
     def settle(self) -> None:
         """Do what the last orientation did not have to wait for: keyframes, and recognition."""
