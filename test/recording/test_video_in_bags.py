@@ -13,58 +13,13 @@ from unittest import mock
 from encoded_video import KEY_PERIOD, pictures, stream
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Rosbag1Writer
-from rosbags.rosbag2 import StoragePlugin, Writer as Rosbag2Writer
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from rosbags.rosbag2 import StoragePlugin
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.replay import main as replay
 from tiny_recordings import stamps_of
-
-TOPIC = '/theta/image_raw/video'
-COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
-COMPRESSED_VIDEO = 'foxglove_msgs/msg/CompressedVideo'
-FFMPEG_PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
-# As the packages have them; that of ROS 1 has other names and another order.
-DEFINITIONS = {
-    COMPRESSED_VIDEO: 'builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\n'
-                      'string format\n',
-    FFMPEG_PACKET: 'std_msgs/Header header\nint32 width\nint32 height\nstring encoding\n'
-                   'uint64 pts\nuint8 flags\nbool is_bigendian\nuint8[] data\n'}
-FFMPEG_PACKET_ROS1 = ('std_msgs/Header header\nuint8[] data\nint32 img_width\nint32 img_height\n'
-                      'string encoding\nuint64 pts\nuint8 flags\n')
-DEFINITIONS_ROS1 = {**DEFINITIONS, FFMPEG_PACKET: FFMPEG_PACKET_ROS1}
-
-
-def write(path, packets, msgtype, codec, ros=2, definitions=None, storage=StoragePlugin.MCAP):
-    """Write a bag of messages of a type, in the order of decoding, and return its path."""
-    if ros == 1:
-        types, path = get_typestore(Stores.ROS1_NOETIC), path.with_suffix('.bag')
-        writer = Rosbag1Writer(path)
-    else:
-        types = get_typestore(Stores.ROS2_JAZZY)
-        writer = Rosbag2Writer(path, version=9, storage_plugin=storage)
-    definitions = definitions or (DEFINITIONS_ROS1 if ros == 1 else DEFINITIONS)
-    for name, text in definitions.items():
-        types.register(get_types_from_msg(text, name))
-    serialize = types.serialize_ros1 if ros == 1 else types.serialize_cdr
-    stamps_ns = stamps_of(1 + max(index for index, _ in packets)).tolist()
-    with writer:
-        connection = writer.add_connection(TOPIC, msgtype, typestore=types)
-        for received, (index, data) in enumerate(packets):
-            stamp = types.types['builtin_interfaces/msg/Time'](*divmod(stamps_ns[index], 10**9))
-            header = types.types['std_msgs/msg/Header'](
-                **({'seq': 0} if ros == 1 else {}), stamp=stamp, frame_id='theta_camera')
-            all_fields = {
-                'header': header, 'timestamp': stamp, 'frame_id': 'theta_camera', 'width': 128,
-                'height': 64, 'img_width': 128, 'img_height': 64, 'pts': index, 'flags': 0,
-                'is_bigendian': False, 'format': codec, 'encoding': codec,
-                'data': np.frombuffer(data, np.uint8)}
-            message = types.types[msgtype]
-            msg = message(**{name: all_fields[name]
-                             for name in message.__dataclass_fields__ if name in all_fields})
-            writer.write(connection, stamps_ns[0] + received * 33_333_333 + 10**9,
-                         serialize(msg, msgtype))
-    return path
+from video_bags import (
+    COMPRESSED_IMAGE, COMPRESSED_VIDEO, DEFINITIONS, DEFINITIONS_ROS1, FFMPEG_PACKET,
+    write_video_bag)
 
 
 def check(path, name, expected):
@@ -81,8 +36,8 @@ def check(path, name, expected):
 @pytest.mark.parametrize('name', ['h264 B', 'h265 B', 'av1 hidden'])
 def test_bags_give_the_pictures_of_the_stream(tmp_path, name, msgtype, kind, caplog):
     storage = StoragePlugin.SQLITE3 if kind == 'sqlite' else StoragePlugin.MCAP
-    path = write(tmp_path / 'bag', stream(name), msgtype, name.split()[0],
-                 1 if kind == 'ros1' else 2, storage=storage)
+    path = write_video_bag(tmp_path / 'bag', stream(name), msgtype, name.split()[0],
+                           1 if kind == 'ros1' else 2, storage=storage)
     check(path, name, [*range(len(stream(name)))])
     assert not caplog.records
 
@@ -90,15 +45,15 @@ def test_bags_give_the_pictures_of_the_stream(tmp_path, name, msgtype, kind, cap
 @pytest.mark.parametrize('ros', [1, 2])
 def test_packets_of_the_other_generation_are_read(tmp_path, ros):
     """As in bags converted from one to the other."""
-    path = write(tmp_path / 'bag', stream('h264'), FFMPEG_PACKET, 'libx264', ros,
-                 DEFINITIONS if ros == 1 else DEFINITIONS_ROS1)
+    path = write_video_bag(tmp_path / 'bag', stream('h264'), FFMPEG_PACKET, 'libx264', ros,
+                           DEFINITIONS if ros == 1 else DEFINITIONS_ROS1)
     check(path, 'h264', [*range(len(stream('h264')))])
 
 
 @pytest.mark.parametrize('name', ['h264 B', 'h265 B', 'av1'])
 def test_a_bag_that_begins_anywhere_waits_for_a_key_picture(tmp_path, name, caplog, capsys):
     """One line says how many pictures passed, and they are counted."""
-    path = write(tmp_path / 'bag', stream(name)[3:], FFMPEG_PACKET, name.split()[0])
+    path = write_video_bag(tmp_path / 'bag', stream(name)[3:], FFMPEG_PACKET, name.split()[0])
     recording = open_recording(path)
     assert len(list(recording.frames())) == len(stream(name)) - KEY_PERIOD
     assert [record.getMessage() for record in caplog.records] == [
@@ -115,14 +70,15 @@ def recording_name(name):
 
 
 def test_a_bag_without_a_key_picture_is_refused_in_one_line(tmp_path, capsys):
-    path = write(tmp_path / 'bag', stream('h264')[1:KEY_PERIOD], COMPRESSED_IMAGE, 'h264')
+    packets = stream('h264')[1:KEY_PERIOD]
+    path = write_video_bag(tmp_path / 'bag', packets, COMPRESSED_IMAGE, 'h264')
     assert replay([str(path), '--trajectory', str(tmp_path / 'a.tum')]) == 1
     assert 'no usable picture (no key picture: 7)' in capsys.readouterr().err
 
 
 def test_a_lost_message_is_told_of(tmp_path, caplog):
     packets = stream('h264')
-    path = write(tmp_path / 'bag', packets[:3] + packets[4:], COMPRESSED_VIDEO, 'h264')
+    path = write_video_bag(tmp_path / 'bag', packets[:3] + packets[4:], COMPRESSED_VIDEO, 'h264')
     check(path, 'h264', [0, 1, 2, *range(KEY_PERIOD, len(packets))])
     said = [record.getMessage() for record in caplog.records]
     assert len(said) == 2
@@ -131,7 +87,7 @@ def test_a_lost_message_is_told_of(tmp_path, caplog):
 
 
 def test_without_pyav_a_bag_is_refused_in_one_line(tmp_path, capsys):
-    path = write(tmp_path / 'bag', stream('h264'), FFMPEG_PACKET, 'libx264')
+    path = write_video_bag(tmp_path / 'bag', stream('h264'), FFMPEG_PACKET, 'libx264')
     with mock.patch.dict('sys.modules', {'av': None}):
         with pytest.raises(RecordingError, match='H.264 in messages needs PyAV: pip install'):
             next(open_recording(path).frames())
