@@ -144,7 +144,8 @@ def test_a_picture_is_given_as_is_asked_for():
     assert np.corrcoef(bgr.ravel(), found[0][1].grey().ravel())[0, 1] > 0.999
 
 
-@pytest.mark.parametrize('pix_fmt', ['gray', 'yuv444p', 'yuv420p10le', 'gbrp', 'yuvj420p'])
+@pytest.mark.parametrize('pix_fmt', [
+    'gray', 'yuv422p', 'yuv444p', 'yuv420p10le', 'gbrp', 'yuvj420p'])
 def test_pictures_of_other_planes_are_grey_and_coloured_too(pix_fmt):
     image = turning_spheres(1, 128)[0][0]
     # H.264's decoder gives grey as colours.
