@@ -8,7 +8,7 @@
 
 """Evaluate estimators against a recording's truth, or against rotations injected into it."""
 
-from argparse import ArgumentTypeError, Namespace
+from argparse import Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -21,8 +21,6 @@ import sys
 from typing import TypeAlias
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
 from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
 from sph_stab_ros.command_line.arguments import names_argument, output_argument
 from sph_stab_ros.command_line.parameters import (
@@ -32,15 +30,14 @@ from sph_stab_ros.config import (
     ANCHORED, EQUIRECT, FLOWS, IMU, METHODS, MIN_WIDTH, StabilizerConfig)
 from sph_stab_ros.evaluation import report
 from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
+from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import (
     Errors, evaluate_against_truth, evaluate_injected, Progress)
 from sph_stab_ros.evaluation.stitched import Stitched
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.geometry.trajectory import write_tum
-from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
@@ -103,15 +100,19 @@ def evaluate(args: Namespace, configs: Configs) -> None:
 def by_truth(args: Namespace, recording: Recording, configs: Configs,
              progress: Progress) -> Evaluation:
     """Return what to say about the alignment, and Errors and figures by estimator."""
-    topic = args.truth or find_truth_topic(recording)
+    topic = args.truth or find_truth_topic(recording, args.truth_frames)
     levelled = any(config.level == IMU for config in configs.values())
     imu_topic = find_imu_topic(recording, args.imu_topic) if levelled else None
-    truth = read_truth(recording, topic)
+    truth = read_truth(recording, topic, args.truth_frames)
     alignment, errors, figures = evaluate_against_truth(
         recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress,
         imu_topic)
     about = {'truth': topic, **report.describe(alignment, args.mount is not None)}
-    print(f'{recording.name}: {len(truth)} true orientations in {topic}')
+    of_frames = ''
+    if args.truth_frames:
+        about['truth_frames'] = ':'.join(args.truth_frames)
+        of_frames = f', {about["truth_frames"]}'
+    print(f'{recording.name}: {len(truth)} true orientations in {topic}{of_frames}')
     for line in report.alignment_lines(about, args.clock_offset is None):
         print(line)
     warn(recording.name, alignment)
@@ -183,27 +184,6 @@ def see_that_figures_can_be_drawn() -> None:
             "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
 
 
-def mount_argument(text: str) -> Rotation:
-    """Return R_body_camera from ``yaw,pitch,roll`` in degrees or a quaternion ``x,y,z,w``."""
-    try:
-        values = np.array(text.split(','), float)
-        if np.isfinite(values).all() and len(values) == 4:
-            return Rotation.from_quat(values)
-        if np.isfinite(values).all() and len(values) == 3:
-            return R_BODY_CAMERA * view_rotation(*np.deg2rad(values))
-    except ValueError:
-        pass
-    raise ArgumentTypeError(f"'{text}' is neither yaw,pitch,roll in degrees nor qx,qy,qz,qw")
-
-
-def clock_argument(text: str) -> int | None:
-    """Return nanoseconds from seconds, None from ``auto``."""
-    try:
-        return None if text == 'auto' else round(float(text) * NS_PER_S)
-    except (ValueError, OverflowError):
-        raise ArgumentTypeError(f"'{text}' is neither auto nor a number of seconds") from None
-
-
 def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
     parser = Parser(prog='evaluate', description=__doc__)
@@ -215,8 +195,12 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
                         help=f'each estimator with each of {", ".join(FLOWS)} '
                         "(default: the parameters')")
     parser.add_argument('--truth', metavar='TOPIC',
-                        help='PoseStamped, QuaternionStamped, TransformStamped, Odometry or Imu '
-                        '(default: the one there is)')
+                        help='PoseStamped, PoseWithCovarianceStamped, QuaternionStamped, '
+                        'TransformStamped, Odometry, Imu, Path or TFMessage (default: the one '
+                        'there is)')
+    parser.add_argument('--truth-frames', metavar='PARENT:CHILD', type=frames_argument,
+                        help='of a TFMessage topic, whose orientation in which frame is truth: '
+                        'the body in the world')
     parser.add_argument('--mount', metavar='YAW,PITCH,ROLL', type=mount_argument,
                         help="where the camera looks on the truth's body, in degrees to the left, "
                         'up, clockwise, or as a quaternion x,y,z,w of the optical frame; '
@@ -251,7 +235,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     if args.json and args.json.is_dir():
         parser.error(f"--json needs a file, '{args.json}' is a folder")
     if args.inject is not None:
-        if args.truth or args.mount is not None or args.clock_offset != 0 or args.tum:
+        if (args.truth or args.truth_frames or args.mount is not None or args.clock_offset != 0
+                or args.tum):
             parser.error('--inject needs no --truth, --mount, --clock-offset or --tum')
         if args.inject < 0:
             parser.error('--inject needs a SEED of 0 or more')

@@ -17,7 +17,8 @@ from pathlib import Path
 import sys
 from typing import Any
 
-from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from rosbags.typesys.store import Typestore
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -40,7 +41,8 @@ IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
 # How the messages in a channel are encoded: the definitions of types, and what decodes by them.
 ENCODINGS = {'cdr': (Stores.ROS2_JAZZY, 'deserialize_cdr'),
              'ros1': (Stores.ROS1_NOETIC, 'deserialize_ros1')}
-types_of = cache(get_typestore)
+# Of a standard type that rosbags' Noetic lacks.
+TRANSFORMS = 'tf2_msgs/msg/TFMessage', 'geometry_msgs/TransformStamped[] transforms'
 # Drivers that stamp with zero until they have the time have it by then.
 MAX_UNSTAMPED = 300
 
@@ -150,6 +152,16 @@ class BagRecording:
         """Return the topics and their types in a line."""
         return ', '.join(f'{topic} ({msgtype})' for topic, msgtype in sorted(self.topics.items())
                          ) or 'no topics'
+
+
+@cache
+def types_of(store: Stores) -> Typestore:
+    """Return the types of a generation of ROS."""
+    types = get_typestore(store)
+    name, definition = TRANSFORMS
+    if name not in types.types:
+        types.register(get_types_from_msg(definition, name))
+    return types
 
 
 def is_standard(msgtype: str, encoding: str) -> bool:
