@@ -39,6 +39,7 @@ from sph_stab_ros.evaluation.stitched import Stitched
 from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic
@@ -63,7 +64,9 @@ Evaluation: TypeAlias = tuple[Figures, dict[str, Errors], dict[str, Figures]]
 def evaluate(args: Namespace, configs: Configs) -> None:
     """Do what the command line says."""
     recording = open_recording(args.recording, args.image_topic)
-    spheres = Stitched(recording, next(iter(configs.values())))
+    config = next(iter(configs.values()))
+    watch = PictureWatch(config.projection)
+    spheres = Stitched(recording, config, watch)
     frames = frames_to_read(recording, args.max_frames)
     if args.plots:
         make_folder(args.plots)
@@ -80,7 +83,7 @@ def evaluate(args: Namespace, configs: Configs) -> None:
             file = stack.enter_context(partial_output(args.json, force=True))
         stack.enter_context(logging_redirect_tqdm())
         if args.inject is None:
-            about, errors, figures = by_truth(args, recording, configs, progress)
+            about, errors, figures = by_truth(args, recording, configs, progress, watch)
         else:
             about, errors, figures = by_injection(args, spheres, configs, frames, progress)
         if args.every:
@@ -98,7 +101,7 @@ def evaluate(args: Namespace, configs: Configs) -> None:
 
 
 def by_truth(args: Namespace, recording: Recording, configs: Configs,
-             progress: Progress) -> Evaluation:
+             progress: Progress, watch: PictureWatch) -> Evaluation:
     """Return what to say about the alignment, and Errors and figures by estimator."""
     topic = args.truth or find_truth_topic(recording, args.truth_frames)
     levelled = any(config.level == IMU for config in configs.values())
@@ -106,7 +109,7 @@ def by_truth(args: Namespace, recording: Recording, configs: Configs,
     truth = read_truth(recording, topic, args.truth_frames)
     alignment, errors, figures = evaluate_against_truth(
         recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress,
-        imu_topic)
+        imu_topic, watch)
     about = {'truth': topic, **report.describe(alignment, args.mount is not None)}
     of_frames = ''
     if args.truth_frames:

@@ -45,6 +45,7 @@ from sph_stab_ros.config import NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
 from sph_stab_ros.ros import messages as ros_messages
@@ -89,6 +90,7 @@ class Player:
         self._node = node
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
+        self._watch = PictureWatch(config.projection)
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
         if topic and not (compress and is_raw(recording.topics[topic])):
@@ -141,6 +143,8 @@ class Player:
                 elif loop_start_ns:
                     # A stamp of zero means unknown and stays that.
                     restamp(msg, lambda ns: ns and ns + loop_start_ns)
+                if publisher is self.images and (hint := self._watch.look(msg)):
+                    self._node.get_logger().warning(hint)
                 publisher.publish(msg)
             if not loop or is_empty:
                 break
@@ -236,7 +240,7 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
     group = add_parameters(
-        parser, 'image_transport and jpeg_quality count, so that the node gets what it wants')
+        parser, 'image_transport, jpeg_quality and projection count: the node gets what it wants')
     group.add_argument('--compressed', action=SetParameters, nargs=0,
                        read=lambda _, flag: {'image_transport': (flag, 'compressed')},
                        help='publish JPEG on image/compressed also where images are raw')

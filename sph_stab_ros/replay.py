@@ -29,6 +29,7 @@ from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.recording.partial_output import partial_output
@@ -211,7 +212,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             summary = stabilize_recording(
                 recording, Stabilizer(config), sinks, args.max_frames,
                 lambda frames: tqdm(frames, total=total, unit=' frames', disable=None), imu,
-                pictures=args.out is not None)
+                pictures=args.out is not None, watch=PictureWatch(config.projection))
         for line in report(summary, config, time.perf_counter() - start_s):
             print(line)
         if imu is not None:

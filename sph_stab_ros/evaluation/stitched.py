@@ -16,6 +16,7 @@ sphere; nothing is turned or stabilised here.
 from collections import Counter
 from collections.abc import Generator
 from dataclasses import replace
+import logging
 
 from scipy.spatial.transform import Rotation
 
@@ -25,7 +26,10 @@ from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionEr
 from sph_stab_ros.geometry.warp import equirect_warp
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording.base import Recording, SkipLog
+
+logger = logging.getLogger(__name__)
 
 
 class Stitched:
@@ -37,13 +41,17 @@ class Stitched:
     recording
     config
         What its pictures are.
+    watch : PictureWatch, optional
+        Looks at them; one of its own by default.
 
     """
 
-    def __init__(self, recording: Recording, config: StabilizerConfig) -> None:
+    def __init__(self, recording: Recording, config: StabilizerConfig,
+                 watch: PictureWatch | None = None) -> None:
         self._recording = recording
         self._config = config
         self._skip_log = SkipLog(recording.name)
+        self._watch = watch or PictureWatch(config.projection)
         self.name = recording.name
         self.topics = recording.topics
         self.image_topic = recording.image_topic
@@ -65,6 +73,9 @@ class Stitched:
                 self._skip_log.add(error.reason, error)
 
     def _stitched(self, frame: Frame) -> Frame:
+        hint = self._watch.look(frame)
+        if hint:
+            logger.warning('%s: %s', self.name, hint)
         projection = projection_of(frame.size_wh, self._config)
         if isinstance(projection, Equirect):
             return frame
