@@ -22,32 +22,18 @@ from sph_stab_ros.geometry.rotations import rotate_covariance, rotation_from_mat
 from sph_stab_ros.images.texture import has_texture
 from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
 from sph_stab_ros.tracking.anchored.correction import SmoothCorrection
-from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MAX_LANDMARKS
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.landmarks import Observations
 from sph_stab_ros.tracking.anchored.localization import (
-    DOUBTFUL, Localization, localize, MIN_MATURE, MIN_POINTS, returning)
+    Localization, localize, returning)
 from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
+from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.prepared_frame import PreparedFrame
-from sph_stab_ros.tracking.anchored.relocalization import Relocalizer, SIGMA_RAD
+from sph_stab_ros.tracking.anchored.relocalization import Relocalizer
 from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns, Thumbnail
 from sph_stab_ros.tracking.anchored.wide_baseline import locate_widely
 from sph_stab_ros.tracking.base import GyroRotation, no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.motion_model import MotionModel
-
-# A new keyframe is made where fewer of the landmarks than these are seen, or where they have moved
-# further since the last one, in the median.
-MIN_SURVIVORS = 0.4
-MAX_PARALLAX_RAD = 0.04
-# How far the camera moves against a prediction, in the unit of the map, per second.
-POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA = 0.6, 0.02
-# After a longer time patches are searched coarsely first.
-MAX_FINE_S = 0.05
-# After a loss so many of the last keyframes are tried, from the likeliest headings.
-MAX_CANDIDATES, MAX_ATTEMPTS = 6, 3
-# How a camera that was lost is turned nobody knows.
-LOST_RAD = 1.
-# How quickly the usual scale of residuals follows that of each frame.
-SCALE_RATE = 0.1
 
 
 class AnchoredTracker:
@@ -64,23 +50,26 @@ class AnchoredTracker:
         For how long the last angular velocity is trusted.
     gyro_rotation : callable
         Returns the turn ``R_from_to`` between two stamps, or None.
+    options : AnchoredOptions
 
     """
 
     def __init__(self, width: int, used: Mask | None = None, max_prediction_s: float = 0.5,
-                 gyro_rotation: GyroRotation = no_gyro) -> None:
-        self._used = used
+                 gyro_rotation: GyroRotation = no_gyro,
+                 options: AnchoredOptions = AnchoredOptions()) -> None:
+        self._options, self._used = options, used
         self._max_prediction_s, self._turn_between = max_prediction_s, gyro_rotation
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next frame's orientation is the new world."""
-        self._map = LandmarkMap()
-        self._visible = VisibleWorld(self._used)
+        options = self._options
+        self._map = LandmarkMap(options.landmark_map)
+        self._visible = VisibleWorld(self._used, options.body_mask)
         self._thumbnail: Thumbnail | None = None
-        self._motion = MotionModel(self._max_prediction_s, self._turn_between)
+        self._motion = MotionModel(self._max_prediction_s, self._turn_between, options.motion)
         self._covariance: Covariance = np.zeros((3, 3))
-        self._correction = SmoothCorrection()
+        self._correction = SmoothCorrection(options.correction)
         self._keyframe_to_add: tuple[PreparedFrame, Localization] | None = None
         self._relocalizer: Relocalizer | None = None
 
@@ -102,18 +91,18 @@ class AnchoredTracker:
     @property
     def landmarks_kept(self) -> int:
         """Return the number of landmarks in the map."""
-        return 0 if self._map.landmarks is None else len(self._map.landmarks)
+        return len(self._map.landmarks)
 
     def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         self.settle()
-        frame = PreparedFrame(grey)
+        frame = PreparedFrame(grey, self._options.landmark_map.patches, self._options.thumbnails)
         if not has_texture(frame.small):
             return self._predicted(stamp_ns)
         if not self._map.keyframes:
             self._start_map(frame, stamp_ns)
         else:
-            localization = None if self._map.landmarks is None else (
+            localization = None if not len(self._map.landmarks) else (
                 self._locate(frame, stamp_ns) or self._relocalize_nearby(frame, stamp_ns)
                 or self._locate_widely(frame))
             if localization is None:
@@ -147,8 +136,9 @@ class AnchoredTracker:
         # Lost again before that, it is still the old one that counts.
         keyframes = (self._relocalizer or self._map).keyframes
         self._relocalizer = Relocalizer(
-            keyframes, frame.grey, self._motion.R_world_camera, self._used_pixels(frame))
-        self._covariance = LOST_RAD ** 2 * np.eye(3)
+            keyframes, frame.grey, self._motion.R_world_camera, self._used_pixels(frame),
+            self._options.relocalization)
+        self._covariance = self._options.relocalization.lost_rad ** 2 * np.eye(3)
         self._start_map(frame, None)
 
     def _used_pixels(self, frame: PreparedFrame) -> Mask:
@@ -161,7 +151,8 @@ class AnchoredTracker:
         assert self._relocalizer is not None
         R_old_new = self._relocalizer.step()
         if R_old_new is not None:
-            known_better = SIGMA_RAD ** 2 - LOST_RAD ** 2
+            options = self._options.relocalization
+            known_better = options.sigma_rad ** 2 - options.lost_rad ** 2
             self._map.turn(R_old_new, known_better)
             self._motion.rotate_world(R_old_new)
             self._covariance = (rotate_covariance(self._covariance, R_old_new)
@@ -171,23 +162,24 @@ class AnchoredTracker:
 
     def _start_map(self, frame: PreparedFrame, stamp_ns: int | None) -> None:
         """Start anew from here, in the orientation reached."""
-        self._map = LandmarkMap()
+        options = self._options
+        self._map = LandmarkMap(options.landmark_map)
         self._motion.reset(stamp_ns)
         self._correction.reset()
         self._visible.update(frame.small, None)
         self._thumbnail = frame.thumbnail
         self._map.add_keyframe(
             self._motion.R_world_camera, self._motion.position, self._covariance, frame.grey,
-            frame.thumbnail, Observations(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
+            frame.thumbnail, Observations.none())
         self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
-        self._landmarks_at_keyframe, self._scale = MAX_LANDMARKS, 1.
-        self._initializer = None if self._map.landmarks is None else MapInitializer(
-            self._map, POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA)
+        self._landmarks_at_keyframe, self._scale = options.landmark_map.max_landmarks, 1.
+        self._initializer: MapInitializer | None = MapInitializer(
+            self._map, options.initialization, options.localization, options.motion)
 
     def _locate(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
         """Return the Localization near where the camera is expected, None without."""
-        assert self._map.landmarks is not None and self._thumbnail is not None
-        motion = self._motion
+        assert self._thumbnail is not None
+        motion, options = self._motion, self._options
         R_camera_last = align_thumbnails(
             self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
         if self._initializer is not None:
@@ -197,21 +189,26 @@ class AnchoredTracker:
         return localize(
             self._map, np.flatnonzero(self._map.landmarks.active), frame.pyramid,
             motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
-            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._scale,
-            self._visible.shows, coarsely=elapsed_s > MAX_FINE_S)
+            max(options.motion.position_sigma_per_s * elapsed_s,
+                options.motion.min_position_sigma),
+            self._scale, self._visible.shows, elapsed_s > options.max_fine_s,
+            options.localization)
 
     def _locate_widely(self, frame: PreparedFrame) -> Localization | None:
         """Return the Localization somewhere near the last keyframe, None without."""
+        options = self._options
         return locate_widely(
-            self._map, frame.grey, frame.pyramid, self._used_pixels(frame), POSITION_SIGMA_PER_S,
-            self._visible.shows, DOUBTFUL * self._scale)
+            self._map, frame.grey, frame.pyramid, self._used_pixels(frame),
+            options.motion.position_sigma_per_s, self._visible.shows,
+            options.localization.doubtful * self._scale, options.wide_baseline,
+            options.localization)
 
     def _relocalize_nearby(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
         """Return the Localization near one of the last keyframes, whatever the camera has done."""
-        landmarks = self._map.landmarks
-        assert landmarks is not None
+        landmarks, options = self._map.landmarks, self._options
         for keyframe, R_camera_key in likely_turns(
-                self._map.keyframes[-MAX_CANDIDATES:], frame.thumbnail)[:MAX_ATTEMPTS]:
+                self._map.keyframes[-options.relocalization.nearby_keyframes:],
+                frame.thumbnail)[:options.relocalization.nearby_attempts]:
             if self._initializer is not None:
                 R_camera_last = (R_camera_key * rotation_from_matrix(keyframe.R).inv()
                                  * self._motion.R_world_camera)
@@ -225,9 +222,10 @@ class AnchoredTracker:
             localization = localize(
                 self._map, rows, frame.pyramid,
                 rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
-                POSITION_SIGMA_PER_S, self._scale, self._visible.shows, coarsely=True)
+                options.motion.position_sigma_per_s, self._scale, self._visible.shows, True,
+                options.localization)
             if localization is not None:
-                landmarks.wake(localization.rows)
+                self._map.wake(localization.rows)
                 self._correction.reset()
                 return localization
         return None
@@ -238,7 +236,7 @@ class AnchoredTracker:
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
         self._visible.update(frame.small, step.inv())
         self._thumbnail = frame.thumbnail
-        self._scale += SCALE_RATE * (localization.pose.scale - self._scale)
+        self._scale += self._options.scale_rate * (localization.pose.scale - self._scale)
         R_world_first = rotation_from_matrix(self._map.keyframes[0].R)
         self._covariance = (self._map.keyframes[-1].covariance
                             + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
@@ -250,36 +248,35 @@ class AnchoredTracker:
 
     def _judge_landmarks(self, localization: Localization) -> None:
         """Note which landmarks agree; deactivate those that are not seen or do not."""
-        landmarks = self._map.landmarks
-        assert landmarks is not None
         # At the start nobody is judged for good.
-        judge = landmarks.judge if self._initializer is None else landmarks.judge_for_now
-        judge(localization.rows, localization.agreeing, localization.pose.inverse_depths)
+        self._map.judge(localization.rows, localization.agreeing,
+                        localization.pose.inverse_depths, for_good=self._initializer is None)
 
     def _is_keyframe(self, localization: Localization) -> bool:
-        assert self._map.landmarks is not None
+        options = self._options.keyframes
         seen = localization.rows[localization.agreeing]
         last, some = self._map.keyframes[-1], seen[::4]
         parallax_rad = np.median(np.linalg.norm(
             self._map.directions(some, self._motion.position)
             - self._map.directions(some, last.position), axis=1))
-        if parallax_rad > MAX_PARALLAX_RAD:
+        if parallax_rad > options.max_parallax_rad:
             return True
         if self._initializer is not None:
-            return len(localization.rows) < MIN_SURVIVORS * len(self._map.landmarks)
+            return len(localization.rows) < options.min_survivors * len(self._map.landmarks)
         # In the beginning those that move by themselves must have time to tell.
-        mature = self._map.landmarks.is_mature(seen).sum()
-        return len(seen) < (MIN_SURVIVORS * self._landmarks_at_keyframe
-                            if mature >= MIN_MATURE else 2 * MIN_POINTS)
+        needed = self._options.localization
+        mature = self._map.is_mature(seen).sum()
+        return len(seen) < (options.min_survivors * self._landmarks_at_keyframe
+                            if mature >= needed.min_mature else 2 * needed.min_points)
 
     def _add_keyframe(self, frame: PreparedFrame, localization: Localization) -> None:
         """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
-        assert self._map.landmarks is not None
         self._initializer = None
         motion, before = self._motion, self._motion.R_world_camera
         observations = Observations.joined((
             localization.observations(self._map.landmarks, localization.agreeing),
-            returning(self._map, frame.pyramid, before, motion.position, self._visible.shows)))
+            returning(self._map, frame.pyramid, before, motion.position, self._visible.shows,
+                      self._options.localization)))
         self._map.add_keyframe(before, motion.position, self._covariance, frame.grey,
                                frame.thumbnail, observations[np.argsort(observations.number)])
         self._map.adjust()
