@@ -103,6 +103,17 @@ def test_a_black_start_is_waited_through():
     assert errors_deg(results[1:], R).max() < 0.1
 
 
+def test_corners_of_noise_are_no_landmarks():
+    """Where only a pole shows anything: there is texture, there are corners, none has contrast."""
+    rng = np.random.default_rng(0)
+    image = np.uint8(rng.normal(100, 1, (WIDTH // 2, WIDTH)))
+    image[:14] = rng.integers(0, 255, (7, 40)).repeat(2, 0).repeat(8, 1)
+    tracker = AnchoredTracker(WIDTH)
+    statuses = [result.status for result in tracked([image] * 3, tracker)]
+    assert statuses == [TrackingStatus.OK, TrackingStatus.LOST, TrackingStatus.LOST]
+    assert tracker.landmarks_kept == 0
+
+
 def test_an_unknown_place_is_the_start_of_a_new_world():
     R, p = flight(3)
     tracker = AnchoredTracker(WIDTH, max_prediction_s=0.1)
