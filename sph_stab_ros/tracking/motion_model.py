@@ -22,7 +22,8 @@ from sph_stab_ros.tracking.base import GyroRotation
 class MotionOptions:
     """How the camera's position is expected to change, in the unit of the map."""
 
-    # Of the velocity, what is left of it until the next frame.
+    # Of the velocity, what is left of it until the next frame: it decays, as in G. Klein and
+    # D. Murray, *Parallel tracking and mapping for small AR workspaces*, 2007.
     inertia: float = 0.8
     # How far the camera moves against a prediction: a standard deviation per second, and no less.
     position_sigma_per_s: float = 0.6

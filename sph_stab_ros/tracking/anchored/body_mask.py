@@ -133,6 +133,11 @@ class VisibleWorld:
                          for size, of in zip(self._used.shape, self._hidden.shape))
         return self._used & ~self._hidden[np.ix_(rows, columns)]
 
+    def pixels_of(self, grey: Grey) -> Mask:
+        """Return which pixels of a grey sphere show the world, (H, W) bool, of its own size."""
+        return cv2.resize(self.pixels().astype(np.uint8), grey.shape[::-1],
+                          interpolation=cv2.INTER_NEAREST) > 0
+
 
 def _read(mask: Mask, bearings: Bearings) -> Choice:
     """Return the values (N,) of a mask (H, W) along bearings (N, 3)."""

@@ -24,7 +24,8 @@ from sph_stab_ros.tracking.anchored.keyframe import Keyframe
 from sph_stab_ros.tracking.anchored.landmarks import LandmarkOptions, Landmarks, Observations
 from sph_stab_ros.tracking.anchored.lens_misalignment import (
     apart, lens_equations, Lenses, LensOptions)
-from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, PatchStore, Pyramid
+from sph_stab_ros.tracking.anchored.patch_store import PatchStore
+from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
 
 

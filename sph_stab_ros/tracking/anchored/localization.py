@@ -80,13 +80,15 @@ class Localization:
     """
     A PoseEstimate by the landmarks in rows (N,), and Points (N) as they were seen.
 
-    ``agreeing`` (N,) bool tells which of them are where the pose says.
+    ``agreeing`` (N,) bool tells which of them are where the pose says; ``was_lost`` whether the
+    camera is somewhere else than was expected.
     """
 
     rows: Indices
     points: Points
     pose: PoseEstimate
     agreeing: Choice
+    was_lost: bool = False
 
     @property
     def R_world_camera(self) -> Rotation:

@@ -13,7 +13,7 @@ A patch is read on a plane that touches the sphere, so that neither latitude nor
 changes it; and it is found again straight in the camera's picture, where no second warp blurs.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -143,7 +143,11 @@ class Patches(Table):
         """
         Return where the patches in rows are in a picture.
 
-        Inverse compositional alignment, free of brightness and contrast.
+        Inverse compositional alignment (S. Baker and I. Matthews, *Lucas–Kanade 20 years on: a
+        unifying framework*, International Journal of Computer Vision 56(3), 2004), free of
+        brightness and contrast, which the solvers do not see (G. Hager and P. Belhumeur,
+        *Efficient region tracking with parametric models of geometry and illumination*, IEEE
+        Transactions on Pattern Analysis and Machine Intelligence 20(10), 1998).
 
         Parameters
         ----------
@@ -213,34 +217,14 @@ class Patches(Table):
         return np.einsum('np,np->n', grey, grey) / grey.shape[1], length
 
 
-class PatchStore:
-    """Patches that stay where they are: thousands of them take milliseconds to be moved."""
-
-    def __init__(self) -> None:
-        self.patches: Patches | None = None
-        self._free: Indices = np.empty(0, int)
-
-    def put(self, patches: Patches) -> Indices:
-        """Take in Patches and return the rows (N,) in which they are."""
-        missing = len(patches) - len(self._free)
-        if missing > 0:
-            size = 0 if self.patches is None else len(self.patches)
-            more = max(missing, size // 2)
-            room = patches[np.zeros(more, int)]
-            self.patches = room if self.patches is None else Patches.joined((self.patches, room))
-            self._free = np.concatenate((self._free, np.arange(size, size + more)))
-        rows, self._free = np.split(self._free, [len(patches)])
-        for one in fields(Patches) if len(patches) else ():
-            getattr(self.patches, one.name)[rows] = getattr(patches, one.name)
-        return rows
-
-    def give_back(self, rows: Indices) -> None:
-        """Let others use these rows (N,) from now on."""
-        self._free = np.concatenate((self._free, rows))
-
-
 def _sqrt_information_px(G: Floats, options: PatchOptions) -> Floats:
-    """Return the symmetric root of ``G (G + G0)⁻¹ / σ²`` for mean structure tensors (N, 2, 2)."""
+    """
+    Return the symmetric root of ``G (G + G0)⁻¹ / σ²`` for mean structure tensors (N, 2, 2).
+
+    That G is the information about an offset is W. Förstner and E. Gülch's, *A fast operator for
+    detection and precise location of distinct points, corners and centres of circular features*,
+    ISPRS Intercommission Workshop, 1987; that it ends at σ is ours: noise is not the worst error.
+    """
     values, vectors = np.linalg.eigh(G)
     values = np.maximum(values, 1e-3)
     roots = np.sqrt(values / (values + options.noise_gradient)) / options.corner_sigma_px

@@ -12,9 +12,13 @@ The anchored tracker: landmarks of which each keeps the look it had when it was 
 What is compared with its first look instead of with the last frame does not drift. Each frame is
 located among the landmarks; now and then one becomes a keyframe, and the last keyframes' poses and
 the landmarks' depths are adjusted together. Inactive ones are looked for again when near.
+
+Its ancestors: keyframes from G. Klein and D. Murray, *Parallel tracking and mapping for small AR
+workspaces*, International Symposium on Mixed and Augmented Reality, 2007; patches that are aligned
+with their first look from C. Forster, M. Pizzoli and D. Scaramuzza, *SVO: fast semi-direct
+monocular visual odometry*, International Conference on Robotics and Automation, 2014.
 """
 
-import cv2
 import numpy as np
 
 from sph_stab_ros.geometry.arrays import Covariance, Grey, Mask, Vector
@@ -22,16 +26,13 @@ from sph_stab_ros.geometry.rotations import rotate_covariance, rotation_from_mat
 from sph_stab_ros.images.texture import has_texture
 from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
 from sph_stab_ros.tracking.anchored.correction import SmoothCorrection
+from sph_stab_ros.tracking.anchored.frame_localizer import FrameLocalizer
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.landmarks import Observations
-from sph_stab_ros.tracking.anchored.localization import (
-    Localization, localize, returning)
-from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
+from sph_stab_ros.tracking.anchored.localization import Localization, returning
 from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.prepared_frame import PreparedFrame
 from sph_stab_ros.tracking.anchored.relocalization import Relocalizer
-from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns, Thumbnail
-from sph_stab_ros.tracking.anchored.wide_baseline import locate_widely
 from sph_stab_ros.tracking.base import GyroRotation, no_gyro, TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.motion_model import MotionModel
 
@@ -66,7 +67,6 @@ class AnchoredTracker:
         options = self._options
         self._map = LandmarkMap(options.landmark_map)
         self._visible = VisibleWorld(self._used, options.body_mask)
-        self._thumbnail: Thumbnail | None = None
         self._motion = MotionModel(self._max_prediction_s, self._turn_between, options.motion)
         self._covariance: Covariance = np.zeros((3, 3))
         self._correction = SmoothCorrection(options.correction)
@@ -102,9 +102,7 @@ class AnchoredTracker:
         if not self._map.keyframes:
             self._start_map(frame, stamp_ns)
         else:
-            localization = None if not len(self._map.landmarks) else (
-                self._locate(frame, stamp_ns) or self._relocalize_nearby(frame, stamp_ns)
-                or self._locate_widely(frame))
+            localization = self._localizer.localize(frame, stamp_ns)
             if localization is None:
                 held = self._predicted(stamp_ns)
                 if held.status is TrackingStatus.LOST:
@@ -136,15 +134,10 @@ class AnchoredTracker:
         # Lost again before that, it is still the old one that counts.
         keyframes = (self._relocalizer or self._map).keyframes
         self._relocalizer = Relocalizer(
-            keyframes, frame.grey, self._motion.R_world_camera, self._used_pixels(frame),
-            self._options.relocalization)
+            keyframes, frame.grey, self._motion.R_world_camera,
+            self._visible.pixels_of(frame.grey), self._options.relocalization)
         self._covariance = self._options.relocalization.lost_rad ** 2 * np.eye(3)
         self._start_map(frame, None)
-
-    def _used_pixels(self, frame: PreparedFrame) -> Mask:
-        """Return which pixels of the grey sphere show the world, (H, W) bool."""
-        return cv2.resize(self._visible.pixels().astype(np.uint8), frame.grey.shape[::-1],
-                          interpolation=cv2.INTER_NEAREST) > 0
 
     def _relocalize_globally(self) -> None:
         """Go on looking for the old world, and turn the new one into it once it is found."""
@@ -167,90 +160,37 @@ class AnchoredTracker:
         self._motion.reset(stamp_ns)
         self._correction.reset()
         self._visible.update(frame.small, None)
-        self._thumbnail = frame.thumbnail
         self._map.add_keyframe(
             self._motion.R_world_camera, self._motion.position, self._covariance, frame.grey,
             frame.thumbnail, Observations.none())
         self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
-        self._landmarks_at_keyframe, self._scale = options.landmark_map.max_landmarks, 1.
-        self._initializer: MapInitializer | None = MapInitializer(
-            self._map, options.initialization, options.localization, options.motion)
-
-    def _locate(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
-        """Return the Localization near where the camera is expected, None without."""
-        assert self._thumbnail is not None
-        motion, options = self._motion, self._options
-        R_camera_last = align_thumbnails(
-            self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
-        if self._initializer is not None:
-            return self._initializer.localize(
-                frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
-        elapsed_s = motion.trusted_s(stamp_ns)
-        return localize(
-            self._map, np.flatnonzero(self._map.landmarks.active), frame.pyramid,
-            motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
-            max(options.motion.position_sigma_per_s * elapsed_s,
-                options.motion.min_position_sigma),
-            self._scale, self._visible.shows, elapsed_s > options.max_fine_s,
-            options.localization)
-
-    def _locate_widely(self, frame: PreparedFrame) -> Localization | None:
-        """Return the Localization somewhere near the last keyframe, None without."""
-        options = self._options
-        return locate_widely(
-            self._map, frame.grey, frame.pyramid, self._used_pixels(frame),
-            options.motion.position_sigma_per_s, self._visible.shows,
-            options.localization.doubtful * self._scale, options.wide_baseline,
-            options.localization)
-
-    def _relocalize_nearby(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
-        """Return the Localization near one of the last keyframes, whatever the camera has done."""
-        landmarks, options = self._map.landmarks, self._options
-        for keyframe, R_camera_key in likely_turns(
-                self._map.keyframes[-options.relocalization.nearby_keyframes:],
-                frame.thumbnail)[:options.relocalization.nearby_attempts]:
-            if self._initializer is not None:
-                R_camera_last = (R_camera_key * rotation_from_matrix(keyframe.R).inv()
-                                 * self._motion.R_world_camera)
-                localization = self._initializer.localize(
-                    frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
-                if localization is not None:
-                    return localization
-                continue
-            rows = np.flatnonzero((landmarks.host == keyframe.number)
-                                  | np.isin(landmarks.number, keyframe.observations.number))
-            localization = localize(
-                self._map, rows, frame.pyramid,
-                rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
-                options.motion.position_sigma_per_s, self._scale, self._visible.shows, True,
-                options.localization)
-            if localization is not None:
-                self._map.wake(localization.rows)
-                self._correction.reset()
-                return localization
-        return None
+        self._landmarks_at_keyframe = options.landmark_map.max_landmarks
+        self._localizer = FrameLocalizer(
+            self._map, frame.thumbnail, self._visible, self._motion, options)
 
     def _accept(self, frame: PreparedFrame, stamp_ns: int, localization: Localization) -> None:
         """Make this frame the last one that showed something."""
         pose, R_world_camera = localization.pose, localization.R_world_camera
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
         self._visible.update(frame.small, step.inv())
-        self._thumbnail = frame.thumbnail
-        self._scale += self._options.scale_rate * (localization.pose.scale - self._scale)
+        self._localizer.accept(frame, localization)
         R_world_first = rotation_from_matrix(self._map.keyframes[0].R)
         self._covariance = (self._map.keyframes[-1].covariance
                             + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
                             + self._map.lenses.covariance(R_world_first.inv() * R_world_camera))
-        if self._initializer is not None and self._initializer.R_world_continued is not None:
+        R_world_continued = self._localizer.R_world_continued
+        if R_world_continued is not None:
             # When another pose counts than did before, the picture follows smoothly.
-            self._correction.hide(self._initializer.R_world_continued, R_world_camera)
+            self._correction.hide(R_world_continued, R_world_camera)
+        if localization.was_lost:
+            self._correction.reset()
         self._correction.step()
 
     def _judge_landmarks(self, localization: Localization) -> None:
         """Note which landmarks agree; deactivate those that are not seen or do not."""
         # At the start nobody is judged for good.
         self._map.judge(localization.rows, localization.agreeing,
-                        localization.pose.inverse_depths, for_good=self._initializer is None)
+                        localization.pose.inverse_depths, for_good=not self._localizer.is_starting)
 
     def _is_keyframe(self, localization: Localization) -> bool:
         options = self._options.keyframes
@@ -261,7 +201,7 @@ class AnchoredTracker:
             - self._map.directions(some, last.position), axis=1))
         if parallax_rad > options.max_parallax_rad:
             return True
-        if self._initializer is not None:
+        if self._localizer.is_starting:
             return len(localization.rows) < options.min_survivors * len(self._map.landmarks)
         # In the beginning those that move by themselves must have time to tell.
         needed = self._options.localization
@@ -271,7 +211,7 @@ class AnchoredTracker:
 
     def _add_keyframe(self, frame: PreparedFrame, localization: Localization) -> None:
         """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
-        self._initializer = None
+        self._localizer.end_start()
         motion, before = self._motion, self._motion.R_world_camera
         observations = Observations.joined((
             localization.observations(self._map.landmarks, localization.agreeing),
