@@ -70,6 +70,7 @@ class AnchoredTracker:
         self._motion = MotionModel(self._max_prediction_s, self._turn_between, options.motion)
         self._covariance: Covariance = np.zeros((3, 3))
         self._correction = SmoothCorrection(options.correction)
+        self._localization: Localization | None = None
         self._keyframe_to_add: tuple[PreparedFrame, Localization] | None = None
         self._relocalizer: Relocalizer | None = None
 
@@ -84,6 +85,20 @@ class AnchoredTracker:
         return self._map.lenses.apart, self._map.lenses.apart_covariance
 
     @property
+    def landmark_map(self) -> LandmarkMap:
+        """Return what is known of the surroundings, to be looked at."""
+        return self._map
+
+    @property
+    def localization(self) -> Localization | None:
+        """
+        Return how the last frame was localized, None if it was not.
+
+        Its rows are those of ``landmark_map`` until the next settle.
+        """
+        return self._localization
+
+    @property
     def keyframes_kept(self) -> int:
         """Return the number of keyframes in the map."""
         return len(self._map.keyframes)
@@ -96,6 +111,7 @@ class AnchoredTracker:
     def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         self.settle()
+        self._localization = None
         frame = PreparedFrame(grey, self._options.landmark_map.patches, self._options.thumbnails)
         if not has_texture(frame.small):
             return self._predicted(stamp_ns)
@@ -109,6 +125,7 @@ class AnchoredTracker:
                     self._motion.R_world_camera = held.R_world_camera
                     self._start_anew(frame)
                 return held
+            self._localization = localization
             self._accept(frame, stamp_ns, localization)
             self._judge_landmarks(localization)
             if self._is_keyframe(localization):
