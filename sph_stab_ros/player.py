@@ -10,7 +10,8 @@
 Publish a recording on ROS topics, in its own time or faster.
 
 Images go out on ``image``, or ``image/compressed`` if they are compressed in the recording;
-remap them with ``--ros-args -r image:=/camera/image``. Ends with status 0 on SIGINT and SIGTERM.
+remap them with ``--ros-args -r image:=/camera/image``. Video is decoded where its messages are of
+a package that is not installed. Ends with status 0 on SIGINT and SIGTERM.
 """
 
 from argparse import Namespace
@@ -46,8 +47,10 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
 from sph_stab_ros.ros import messages as ros_messages
+from sph_stab_ros.ros.topics import TRANSPORTS
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
 # Reliable, as subscribers of either kind can receive that.
@@ -78,8 +81,8 @@ class Player:
     topics
         What to publish beside the images, under the same names.
     config
-        Of the node that listens. By its ``image_transport`` images that are not compressed in
-        the recording are published as JPEG, of its ``jpeg_quality``.
+        Of the node that listens. By its ``image_transport`` images that are no CompressedImages
+        in the recording are published as JPEG, of its ``jpeg_quality``.
 
     """
 
@@ -91,15 +94,16 @@ class Player:
         self._executor.add_node(node)
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
-        if topic and not (compress and is_raw(recording.topics[topic])):
-            images_type = message_type(recording.topics[topic])
+        recorded = recording.topics[topic] if topic else ''
+        if topic and is_installed(recorded) and (recorded == COMPRESSED_IMAGE or not compress):
+            images_type = recorded
             self._sources.append(partial(recorded_messages, recording, topic))
         else:
-            images_type = CompressedImage if compress else Image
-            self._sources.append(
-                partial(frame_messages, recording, images_type, config.jpeg_quality))
-        self.images = node.create_publisher(
-            images_type, 'image' if images_type is Image else 'image/compressed', QOS)
+            images_type = COMPRESSED_IMAGE if compress else IMAGE
+            self._sources.append(partial(
+                frame_messages, recording, message_type(images_type), config.jpeg_quality))
+        ending, = (ending for ending, name in TRANSPORTS.values() if name == images_type)
+        self.images = node.create_publisher(message_type(images_type), f'image{ending}', QOS)
         self._publishers = [self.images]
         for topic in topics:
             self._sources.append(partial(recorded_messages, recording, topic))
@@ -163,9 +167,13 @@ class Player:
             self._executor.spin_once(timeout_sec=left_s)
 
 
-def is_raw(images_type: str) -> bool:
-    """Tell whether messages of an images' type hold them uncompressed."""
-    return images_type.endswith('/Image')
+def is_installed(name: str) -> bool:
+    """Tell whether messages of a type can be published here."""
+    try:
+        ros_messages.message_type(name)
+    except ImportError:
+        return False
+    return True
 
 
 def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
