@@ -187,8 +187,8 @@ def see_that_figures_can_be_drawn() -> None:
             "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
 
 
-def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
-    """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
+def command_line() -> Parser:
+    """Return the parser of the command line."""
     parser = Parser(prog='evaluate', description=__doc__)
     add_recording(parser, 'REC')
     parser.add_argument('--estimators', metavar='A,B,...', type=names_argument(ESTIMATORS),
@@ -229,6 +229,12 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     add_shorthands(group, ('projection',))
     add_calibration(group)
     add_shorthands(group, (name for name in TRACKER_OPTIONS if name not in ('estimator', 'flow')))
+    return parser
+
+
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
+    """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
+    parser = command_line()
     args = parser.parse_args(argv)
     parameters = given_parameters(parser, args)
     config = settings_from(parser, parameters).config

@@ -10,13 +10,12 @@
 Publish a recording on ROS topics, in its own time or faster.
 
 Images go out on ``image``, or ``image/compressed`` if they are compressed in the recording;
-remap them with ``--ros-args -r image:=/camera/image``. Ends with status 0 on SIGINT and SIGTERM.
+remap them with ``--ros-args -r image:=/camera/image``. Video is decoded where its messages are of
+a package that is not installed. Ends with status 0 on SIGINT and SIGTERM.
 """
 
 from argparse import Namespace
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import is_dataclass
 from functools import partial
 from heapq import merge
 from pathlib import Path
@@ -47,8 +46,10 @@ from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
 from sph_stab_ros.ros import messages as ros_messages
+from sph_stab_ros.ros.topics import TRANSPORTS
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
 # Reliable, as subscribers of either kind can receive that.
@@ -79,8 +80,8 @@ class Player:
     topics
         What to publish beside the images, under the same names.
     config
-        Of the node that listens. By its ``image_transport`` images that are not compressed in
-        the recording are published as JPEG, of its ``jpeg_quality``.
+        Of the node that listens. By its ``image_transport`` images that are no CompressedImages
+        in the recording are published as JPEG, of its ``jpeg_quality``.
 
     """
 
@@ -93,15 +94,16 @@ class Player:
         self._watch = PictureWatch(config.projection)
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
-        if topic and not (compress and is_raw(recording.topics[topic])):
-            images_type = message_type(recording.topics[topic])
+        recorded = recording.topics[topic] if topic else ''
+        if topic and is_installed(recorded) and (recorded == COMPRESSED_IMAGE or not compress):
+            images_type = recorded
             self._sources.append(partial(recorded_messages, recording, topic))
         else:
-            images_type = CompressedImage if compress else Image
-            self._sources.append(
-                partial(frame_messages, recording, images_type, config.jpeg_quality))
-        self.images = node.create_publisher(
-            images_type, 'image' if images_type is Image else 'image/compressed', QOS)
+            images_type = COMPRESSED_IMAGE if compress else IMAGE
+            self._sources.append(partial(
+                frame_messages, recording, message_type(images_type), config.jpeg_quality))
+        ending, = (ending for ending, name in TRANSPORTS.values() if name == images_type)
+        self.images = node.create_publisher(message_type(images_type), f'image{ending}', QOS)
         self._publishers = [self.images]
         for topic in topics:
             self._sources.append(partial(recorded_messages, recording, topic))
@@ -167,16 +169,20 @@ class Player:
             self._executor.spin_once(timeout_sec=left_s)
 
 
-def is_raw(images_type: str) -> bool:
-    """Tell whether messages of an images' type hold them uncompressed."""
-    return images_type.endswith('/Image')
+def is_installed(name: str) -> bool:
+    """Tell whether messages of a type can be published here."""
+    try:
+        ros_messages.message_type(name)
+    except ImportError:
+        return False
+    return True
 
 
 def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
     """Yield (time of receipt in ns, rclpy message) of a bag's topic, faulty images included."""
     message = message_type(recording.topics[topic])
     for received_ns, recorded in recording.messages(topic):
-        yield received_ns, copy_fields(recorded, message())
+        yield received_ns, ros_messages.copy_fields(recorded, message())
 
 
 def frame_messages(recording: Recording, images_type: type[Any],
@@ -196,20 +202,6 @@ def message_type(name: str) -> type[Any]:
         return ros_messages.message_type(name)
     except ImportError:
         raise RecordingError(f'{name} is not installed') from None
-
-
-def copy_fields(source: Any, target: Any) -> Any:
-    """Fill a fresh rclpy message from one of the bag reader, and return it."""
-    for name in target.get_fields_and_field_types():
-        value = getattr(source, name)
-        if is_dataclass(value):
-            copy_fields(value, getattr(target, name))
-        elif isinstance(getattr(target, name), array):
-            # Assigning checks each element, which takes seconds for an image.
-            getattr(target, name).frombytes(value.tobytes())
-        else:
-            setattr(target, name, value)
-    return target
 
 
 def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:

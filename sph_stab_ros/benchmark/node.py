@@ -11,7 +11,8 @@ Measure the node end to end: player, node and subscriber, each a process of its 
 
 The player sends pictures of a recording, enlarged, from memory: reading and decoding them is not
 what is measured, and no camera does it either. Latency is from the time at which a picture was
-due, its stamp, to the receipt of what became of it. The first second is warming up.
+due, its stamp, to the receipt of what became of it. Pictures count once all have found each other,
+and after a second of warming up.
 """
 
 from argparse import Namespace
@@ -142,19 +143,39 @@ def measure(scenario: Scenario) -> Figures:
         if node.poll() is not None:
             raise RecordingError(f'{scenario.name}: the node has ended with {node.returncode}')
     heard.cpu_percent['player'] = player_percent
-    return figures(scenario.stamps_ns(start_ns)[scenario.warm_up_frames:], heard)
+    return figures(scenario, scenario.stamps_ns(start_ns), heard)
 
 
-def figures(stamps_ns: Sequence[int], heard: Heard) -> Figures:
-    """Return what became of the pictures with these stamps."""
+def figures(scenario: Scenario, sent_ns: Sequence[int], heard: Heard) -> Figures:
+    """Return what became of the pictures sent with these stamps."""
+    stamps_ns = counted(scenario, sent_ns, heard)
     orientation_ms, image_ms = (
         [(received_ns[due_ns] - due_ns) / 1e6 for due_ns in stamps_ns if due_ns in received_ns]
         for received_ns in (heard.orientations, heard.images))
+    said = {name: int(heard.diagnostics[name])
+            for name in ('frames', 'dropped', 'not_drawn', 'refused')}
     return {'frames': len(stamps_ns), 'orientations': len(orientation_ms),
             'images': len(image_ms), 'latency_ms': percentiles(image_ms),
             'orientation_latency_ms': percentiles(orientation_ms),
-            'cpu_percent': heard.cpu_percent, 'drops': int(heard.diagnostics['dropped']),
+            'cpu_percent': heard.cpu_percent, 'drops': said['dropped'],
+            # Of all that were sent.
+            'lost': {
+                'before_counting': sent_ns.index(stamps_ns[0]) if stamps_ns else len(sent_ns),
+                'player_to_node': len(sent_ns) - said['frames'] - said['dropped']
+                - said['refused'],
+                'dropped_by_node': said['dropped'], 'not_drawn_by_node': said['not_drawn'],
+                'orientations_to_subscriber': said['frames'] - len(heard.orientations),
+                'images_to_subscriber': said['frames'] - said['not_drawn'] - len(heard.images)},
             'diagnostics': heard.diagnostics}
+
+
+def counted(scenario: Scenario, sent_ns: Sequence[int], heard: Heard) -> Sequence[int]:
+    """Return the stamps of the pictures that count, from the first one that went all the way."""
+    whole_way = (n for n, due_ns in enumerate(sent_ns)
+                 if due_ns in heard.orientations and due_ns in heard.images)
+    first = next(whole_way, len(sent_ns)) + scenario.warm_up_frames
+    # Pictures at the end are all that is left where discovery took too long.
+    return sent_ns[min(first, len(sent_ns) - scenario.frames):][:scenario.frames]
 
 
 def percentiles(values: Sequence[float]) -> dict[str, float]:
@@ -173,14 +194,15 @@ def scenarios(args: Namespace) -> list[Scenario]:
 def table(results: Mapping[str, Figures]) -> Iterator[str]:
     """Yield the lines of a table of figures by scenario."""
     yield (' ' * 22 + 'orientations   images   latency ms p50   p95   p99'
-           '   CPU % player  node  subscriber   drops')
+           '   CPU % player  node  subscriber   lost on the way in, dropped, on the way out')
     for name, result in results.items():
         p50, p95, p99 = (result['latency_ms'].get(f'p{q}', np.nan) for q in PERCENTILES)
         cpu = [result['cpu_percent'].get(who, np.nan) for who in ('player', 'node', 'subscriber')]
-        frames = result['frames']
+        frames, lost = result['frames'], result['lost']
         yield (f'{name:<22}{result["orientations"]:8}/{frames}{result["images"]:5}/'
                f'{frames}{p50:17.0f}{p95:6.0f}{p99:6.0f}{cpu[0]:15.0f}{cpu[1]:6.0f}'
-               f'{cpu[2]:12.0f}{result["drops"]:8}')
+               f'{cpu[2]:12.0f}{lost["player_to_node"]:21}{lost["dropped_by_node"]:9}'
+               f'{lost["images_to_subscriber"]:16}')
 
 
 def arguments(argv: Sequence[str] | None) -> Namespace:

@@ -26,6 +26,8 @@ from sph_stab_ros.recording import decoded_frames, open_recording, RecordingErro
 # Held in memory, 330 MB of raw pictures at 1920 columns, and played there and back.
 PICTURES = 60
 WARM_UP_S = 1.
+# Besides, since it takes the ends a while to find each other.
+SPARE_S = 4.
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,11 @@ class Scenario:
         return round(WARM_UP_S * self.rate_hz)
 
     @property
+    def sent_frames(self) -> int:
+        """How many pictures are sent: those of warming up, those that count, and some to spare."""
+        return self.warm_up_frames + self.frames + round(SPARE_S * self.rate_hz)
+
+    @property
     def compressed(self) -> bool:
         """Whether pictures travel as JPEG."""
         return self.transport == 'compressed'
@@ -66,8 +73,7 @@ class Scenario:
 
     def stamps_ns(self, start_ns: int) -> list[int]:
         """Return the stamps of all pictures, in ns."""
-        count = self.warm_up_frames + self.frames
-        return [start_ns + round(n / self.rate_hz * NS_PER_S) for n in range(count)]
+        return [start_ns + round(n / self.rate_hz * NS_PER_S) for n in range(self.sent_frames)]
 
 
 class MemoryRecording:
@@ -78,7 +84,7 @@ class MemoryRecording:
         self.name = scenario.recording.name
         self.image_topic: str | None = 'image'
         self.topics = {'image': f'sensor_msgs/msg/{scenario.image_type.__name__}'}
-        self.frame_count: int | None = scenario.warm_up_frames + scenario.frames
+        self.frame_count: int | None = scenario.sent_frames
         self.skipped: Counter[str] = Counter()
         fill = fill_compressed if scenario.compressed else fill_image
         size = scenario.width, scenario.width // 2

@@ -25,6 +25,8 @@ LOCK = 'lock'
 FOLLOW = 'follow'
 YAW_FOLLOW = 'yaw_follow'
 MODES = (LOCK, FOLLOW, YAW_FOLLOW)
+# As image_transport and its plugins name them.
+IMAGE_TRANSPORTS = ('raw', 'compressed', 'ffmpeg', 'foxglove')
 # The only view, unless others are named.
 VIEW = 'view'
 VIEW_NAME = '[A-Za-z]([A-Za-z0-9]|_(?!_))*'
@@ -181,8 +183,8 @@ class NodeConfig(StabilizerConfig):
     """What the ROS node needs to know besides."""
 
     image_transport: str = option(
-        'raw', 'Subscribe to image (raw) or to image/compressed', choices=('raw', 'compressed'),
-        live=False)
+        'raw', 'Subscribe to image (raw), or to image/compressed, image/ffmpeg or image/foxglove',
+        choices=IMAGE_TRANSPORTS, live=False)
     stabilized_frame: str = option(
         'stabilized_optical', 'frame_id of the world in which the camera turns: optical axes, '
         "the camera's own at the first image or at the last reset", live=False)

@@ -38,7 +38,7 @@ from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
-from sph_stab_ros.tracking import TrackingStatus
+from sph_stab_ros.tracking import make_tracker, MakeTracker, TrackingStatus
 
 # Passes on the frames that the estimator of a name is given, and may tell of it.
 Progress: TypeAlias = Callable[[str, Iterator[Frame]], Iterable[Frame]]
@@ -148,8 +148,9 @@ def _roll_pitch_yaw_deg(R_first_body: Rotation) -> Vectors:
 class Run:
     """A Stabilizer that keeps the orientations it finds, and how long each took."""
 
-    def __init__(self, config: StabilizerConfig) -> None:
-        self._stabilizer = Stabilizer(config)
+    def __init__(self, config: StabilizerConfig,
+                 make_tracker: MakeTracker = make_tracker) -> None:
+        self._stabilizer = Stabilizer(config, make_tracker)
         self._stamps_ns: list[int] = []
         self._rotations: list[Rotation] = []
         self._times_s: list[float] = []

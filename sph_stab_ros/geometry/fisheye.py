@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import FisheyeConfig, LensConfig
 from sph_stab_ros.geometry.arrays import Bearings, Floats, Grey, Mask, Plane, Raster
-from sph_stab_ros.geometry.projection import bend, bent_cells, Picture, to_grey
+from sph_stab_ros.geometry.projection import bend, bent_cells, Picture
 from sph_stab_ros.geometry.warp import equirect_warp, view_rotation
 
 # Relative difference of width to height up to which a picture is taken for a scaled one.
@@ -129,7 +129,7 @@ class DualFisheye:
 
     def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey sphere (width / 2, width)."""
-        grey = to_grey(frame.image)
+        grey = frame.grey()
         scale = width / self.sphere_width
         if scale > MIN_REDUCTION:
             return equirect_warp(width)(grey, Rotation.identity(), self)

@@ -22,14 +22,10 @@ TOLERANCE_PX = 0.1
 
 
 class Picture(Protocol):
-    """What a Projection asks of a Frame, to make it grey."""
+    """What a Projection asks of a Frame, to make it a grey sphere."""
 
-    @property
-    def image(self) -> Image:
-        """Return the whole picture."""
-
-    def at_least(self, width: int) -> Image:
-        """Return the picture, or a smaller one of it that is as wide as this."""
+    def grey(self, width: int = 0) -> Grey:
+        """Return the picture in grey; a smaller one, at least as wide as this, will do."""
 
 
 class Projection(Protocol):
@@ -108,7 +104,7 @@ class Equirect:
 
     def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey one (width / 2, width)."""
-        return to_grey(frame.at_least(width), width)
+        return to_grey(frame.grey(width), width)
 
 
 def to_grey(image: Image, width: int | None = None) -> Grey:

@@ -39,3 +39,8 @@ def rotate_covariance(covariance: Covariance, R_a_b: Rotation) -> Covariance:
     """Return in frame a what is the covariance (3, 3) of a vector in frame b."""
     R = R_a_b.as_matrix()
     return R @ covariance @ R.T
+
+
+def standard_deviation_rad(covariance: Covariance) -> float:
+    """Return the standard deviation about the least certain axis, of a covariance in rad²."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0)))

@@ -10,10 +10,11 @@
 The inverse warp: a rotated sphere, or a perspective view, out of a spherical picture.
 
 Each pixel of the target looks along a bearing; rotated into the source frame it says where to
-read. Computing that for every pixel takes as long as reading where it is compiled and three times
-as long where it is not (35 ms against 11 ms at 1920×960), and it is smooth nearly everywhere: the
-map is computed on a grid and interpolated. Where it is not smooth, at an equirectangular image's
-seam and poles or where two lenses overlap, it is computed pixel by pixel.
+read. Computing that for every pixel takes as long as reading, and it is smooth nearly everywhere:
+the map is computed on a grid and interpolated. Where it is not smooth, at the seam and poles of an
+equirectangular image or where two lenses overlap, it is computed pixel by pixel. Compiled, map and
+reading are one pass in tiles that stay in cache, in 0.9 times what cv2.remap alone takes for the
+same map of 1920×960; with OpenCV they are two, in 1.4 times that.
 """
 
 from collections.abc import Callable
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros import kernels
 from sph_stab_ros.geometry.arrays import Bearings, Mask, Pixels, Plane, Raster
 from sph_stab_ros.geometry.equirect import bearings_from_pixels
 from sph_stab_ros.geometry.projection import Equirect, Projection
@@ -123,11 +125,24 @@ class InverseWarp:
         # No BLAS: its threads cost more than they help.
         xyz = cv2.split(cv2.transform(bearings, np.float32(R_source_target.as_matrix())))
         u, v, uneven = projection.nodes(*xyz)
+        if isinstance(projection, Equirect) and kernels.library is not None and (
+                image.dtype == np.uint8 and self._cell_px <= kernels.MAX_CELL):
+            return self._read_compiled(image, u, v, uneven, xyz)
         target = self._interpolated(image, u, v, projection.border)
         if uneven.any():
             self._fill_exactly(target, uneven, image, xyz, projection)
         width, height = self.size_wh
         return np.ascontiguousarray(target[:height, :width])
+
+    def _read_compiled(self, image: Raster, u: Plane, v: Plane, uneven: Mask,
+                       xyz: tuple[Plane, Plane, Plane]) -> Raster:
+        """Return the target of an equirectangular image: all of the below, in one pass."""
+        width, height = self.size_wh
+        target = np.empty((height, width, *image.shape[2:]), np.uint8)
+        kernels.library.warp_equirect(
+            self._columns, self._cell_px, u, v, uneven, *xyz, *image.shape[:2],
+            image[0, 0].size, image, height, width, target)
+        return target
 
     def _interpolated(self, image: Raster, u: Plane, v: Plane, border: int) -> Raster:
         """Return the target, of whole cells, read where the pixels between nodes interpolate."""

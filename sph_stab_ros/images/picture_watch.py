@@ -63,7 +63,7 @@ class PictureWatch:
             return ''
         try:
             frame = picture if isinstance(picture, Frame) else frame_from_message(picture, 0)
-            seen = seen_in(reduced(frame.at_least(SIDE_PX)))
+            seen = seen_in(reduced(frame.grey(SIDE_PX)))
         except ImageError:
             return ''
         hint = hint_of(seen, frame.size_wh, self.projection) if seen else ''

@@ -35,8 +35,7 @@ class _Array:
         if self._written and dense is not array:
             raise TypeError('only dense arrays of the right type can be written to')
         if not dense.flags.writeable:
-            # ctypes takes the addresses of no others.
-            dense = dense.copy()
+            return dense.ctypes.data_as(ctypes.c_void_p)
         # A third of the time that ndarray.ctypes takes.
         return ctypes.byref(self._ANYTHING.from_buffer(dense))
 
@@ -44,12 +43,16 @@ class _Array:
 # What a letter stands for. Capitals are written to.
 _TYPES: dict[str, Any] = {
     'b': _Array(np.uint8), 'd': _Array(np.float64), 'f': _Array(np.float32),
-    'l': _Array(np.int64), 'D': _Array(np.float64, True), 'F': _Array(np.float32, True),
+    'l': _Array(np.int64), 'B': _Array(np.uint8, True), 'D': _Array(np.float64, True),
+    'F': _Array(np.float32, True),
     'i': ctypes.c_int, 'x': ctypes.c_float,
 }
-# As the functions in kernels.c take them.
+# As in kernels.c.
+MAX_CELL = 8
+# As the functions there take them.
 _ARGUMENTS = {
     'equirect_pixels': 'ifffiFF',
+    'warp_equirect': 'iiffbfffiiibiiB',
     'read_pixels': 'ibiiffF',
     'settle_patches': 'ilddddbiiifffiixixxxDFF',
     'pose_residuals': 'idddddddD',

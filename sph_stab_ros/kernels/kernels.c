@@ -18,14 +18,19 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
 #define PI 3.14159265358979323846
 // As in patches.py.
 #define SAMPLES 11
 #define PIXELS (SAMPLES * SAMPLES)
 
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
-#define WITH_WIDE_VECTORS __attribute__((target_clones("arch=haswell", "default")))
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && __GNUC__ >= 12
+// By what a processor can, whoever made it: "arch=haswell" would be Intel's alone.
+#define WITH_WIDE_VECTORS __attribute__((target_clones("arch=x86-64-v3", "default")))
 #else
 #define WITH_WIDE_VECTORS
 #endif
@@ -49,9 +54,8 @@ INLINE float arctan2(float y, float x) {
 }
 
 // Equirect.pixels of n bearings, in a picture so wide.
-WITH_WIDE_VECTORS
-void equirect_pixels(int n, const float *x, const float *y, const float *z, int width, float *u,
-                     float *v) {
+INLINE void pixels_of(int n, const float *x, const float *y, const float *z, int width, float *u,
+                      float *v) {
   const float rad_to_px = width / (2 * PI), u_middle = width / 2. - 0.5,
               v_middle = width / 4. - 0.5, v_last = width / 2. - 1;
   for (int i = 0; i < n; i++) {
@@ -59,6 +63,156 @@ void equirect_pixels(int n, const float *x, const float *y, const float *z, int 
     const float below = arctan2(y[i], sqrtf(x[i] * x[i] + z[i] * z[i])) * rad_to_px + v_middle;
     v[i] = fminf(fmaxf(below, 0), v_last);
   }
+}
+
+WITH_WIDE_VECTORS
+void equirect_pixels(int n, const float *x, const float *y, const float *z, int width, float *u,
+                     float *v) {
+  pixels_of(n, x, y, z, width, u, v);
+}
+
+// Parts of the warp's target that stay in the fastest cache with what they are read from.
+#define TILE_CELLS 16
+#define TILE_ROWS 48
+#define MAX_CELL 8
+#define TILE_WIDTH (TILE_CELLS * MAX_CELL)
+// Weights of neighbouring pixels add up to this; sums of two rows fit into 16 bits then.
+#define WHOLE_BITS 7
+#define WHOLE (1 << WHOLE_BITS)
+#define HALF (1 << (2 * WHOLE_BITS - 1))
+
+// Values at a row's pixels within n cells, from those at the nodes above and below.
+INLINE void between_nodes(int n, int cell, const float *above, const float *below, float down,
+                          const float *along, float *values) {
+  float nodes[TILE_CELLS + 1];
+  for (int c = 0; c <= n; c++) nodes[c] = above[c] + down * (below[c] - above[c]);
+  for (int c = 0; c < n; c++)
+    for (int j = 0; j < cell; j++)
+      values[c * cell + j] = nodes[c] + along[j] * (nodes[c + 1] - nodes[c]);
+}
+
+// Steps of a pixel, as cv2.remap has them: by less, a map that is interpolated is not exact, and a
+// picture that is not turned stays as it is.
+#define STEPS 32
+
+// Up to TILE_WIDTH pixels to read: the one left above, and how much of WHOLE falls to those right
+// of it and below it.
+struct reads {
+  int left[TILE_WIDTH], top[TILE_WIDTH], at[TILE_WIDTH], right_and_left[TILE_WIDTH];
+  int16_t right[TILE_WIDTH], below[TILE_WIDTH];
+  // Whether some lie beyond the seam, or too near to read more than there is of a row.
+  int at_seam;
+};
+
+INLINE void plan(int n, const float *u, const float *v, int height, int width, int channels,
+                 struct reads *reads) {
+  int at_seam = 0;
+  for (int k = 0; k < n; k++) {
+    const float column = fminf(fmaxf(u[k], -1), width - 0.5f);
+    const float line = fminf(fmaxf(v[k], 0), height - 1);
+    const int left = (int)(column + 1) - 1, top = (int)fminf(line, height - 2);
+    const int right = (int)((column - left) * STEPS + 0.5f) * (WHOLE / STEPS);
+    at_seam |= (left < 0) | (left > width - 3);
+    reads->left[k] = left;
+    reads->top[k] = top;
+    reads->at[k] = (top * width + left) * channels;
+    reads->right[k] = right;
+    reads->right_and_left[k] = right << 16 | (WHOLE - right);
+    reads->below[k] = (int)((line - top) * STEPS + 0.5f) * (WHOLE / STEPS);
+  }
+  reads->at_seam = at_seam;
+}
+
+// Read pixels from first to n bilinearly; the sphere goes on beyond the seam.
+INLINE void read_planned(int first, int n, const struct reads *reads, const uint8_t *image,
+                         int width, int channels, uint8_t *out) {
+  for (int k = first; k < n; k++) {
+    const int left = reads->left[k], right = reads->right[k], down = reads->below[k];
+    const uint8_t *above = image + (int64_t)reads->top[k] * width * channels;
+    const uint8_t *below = above + width * channels;
+    const int a = (left < 0 ? width - 1 : left) * channels;
+    const int b = (left > width - 2 ? 0 : left + 1) * channels;
+    for (int c = 0; c < channels; c++)
+      out[k * channels + c] =
+          ((above[a + c] * (WHOLE - right) + above[b + c] * right) * (WHOLE - down)
+           + (below[a + c] * (WHOLE - right) + below[b + c] * right) * down + HALF)
+          >> 2 * WHOLE_BITS;
+  }
+}
+
+// The same of three channels and not at the seam, but for the last one: 8 bytes are read of each
+// row at a time, and 4 written. Returns how many were read.
+INLINE int read_colours(int n, const struct reads *reads, const uint8_t *image, int width,
+                        uint8_t *out) {
+#ifdef __SSE2__
+  const __m128i zero = _mm_setzero_si128(), half = _mm_set1_epi32(HALF);
+  for (int k = 0; k < n - 1; k++) {
+    const uint8_t *pixel = image + reads->at[k];
+    const __m128i above = _mm_unpacklo_epi8(_mm_loadl_epi64((const __m128i *)pixel), zero);
+    const __m128i below = _mm_unpacklo_epi8(
+        _mm_loadl_epi64((const __m128i *)(pixel + 3 * width)), zero);
+    const __m128i rows = _mm_add_epi16(
+        _mm_slli_epi16(above, WHOLE_BITS),
+        _mm_mullo_epi16(_mm_sub_epi16(below, above), _mm_set1_epi16(reads->below[k])));
+    const __m128i sums = _mm_madd_epi16(_mm_unpacklo_epi16(rows, _mm_srli_si128(rows, 6)),
+                                        _mm_set1_epi32(reads->right_and_left[k]));
+    const __m128i values = _mm_packs_epi32(
+        _mm_srli_epi32(_mm_add_epi32(sums, half), 2 * WHOLE_BITS), zero);
+    const int packed = _mm_cvtsi128_si32(_mm_packus_epi16(values, zero));
+    memcpy(out + 3 * k, &packed, 4);
+  }
+  return n - 1;
+#else
+  return 0;
+#endif
+}
+
+// InverseWarp's target (target_height, target_width, channels) of cells (rows, columns), read from
+// an equirectangular image. Pixels between nodes (rows + 1, columns + 1) are read between the
+// nodes' pixels u, v or, in cells that are uneven, along the bearings between theirs.
+WITH_WIDE_VECTORS
+void warp_equirect(int columns, int cell, const float *u, const float *v, const uint8_t *uneven,
+                   const float *x, const float *y, const float *z, int height, int width,
+                   int channels, const uint8_t *image, int target_height, int target_width,
+                   uint8_t *target) {
+  const float *bearings[3] = {x, y, z};
+  float along[MAX_CELL];
+  for (int j = 0; j < cell; j++) along[j] = (j + 0.5f) / cell;
+  for (int tile = 0; tile < target_height; tile += TILE_ROWS)
+    for (int first = 0; first < columns; first += TILE_CELLS) {
+      const int cells = columns - first < TILE_CELLS ? columns - first : TILE_CELLS;
+      const int pixels = cells * cell < target_width - first * cell
+                             ? cells * cell : target_width - first * cell;
+      const int end = tile + TILE_ROWS < target_height ? tile + TILE_ROWS : target_height;
+      for (int row = tile; row < end; row++) {
+        const int above = row / cell * (columns + 1) + first, below = above + columns + 1;
+        const float down = along[row % cell];
+        float u_px[TILE_WIDTH], v_px[TILE_WIDTH];
+        // Quicker where the compiler knows how large cells are; mostly they are of this size.
+        if (cell == 6) {
+          between_nodes(cells, 6, u + above, u + below, down, along, u_px);
+          between_nodes(cells, 6, v + above, v + below, down, along, v_px);
+        } else {
+          between_nodes(cells, cell, u + above, u + below, down, along, u_px);
+          between_nodes(cells, cell, v + above, v + below, down, along, v_px);
+        }
+        for (int c = 0; c < cells; c++) {
+          if (!uneven[row / cell * columns + first + c]) continue;
+          float b[3][MAX_CELL];
+          for (int k = 0; k < 3; k++)
+            between_nodes(1, cell, bearings[k] + above + c, bearings[k] + below + c, down, along,
+                          b[k]);
+          pixels_of(cell, b[0], b[1], b[2], width, u_px + c * cell, v_px + c * cell);
+        }
+
+        struct reads reads;
+        uint8_t *out = target + ((int64_t)row * target_width + first * cell) * channels;
+        plan(pixels, u_px, v_px, height, width, channels, &reads);
+        const int done = channels == 3 && !reads.at_seam
+                             ? read_colours(pixels, &reads, image, width, out) : 0;
+        read_planned(done, pixels, &reads, image, width, channels, out);
+      }
+    }
 }
 
 INLINE double dot(const double a[3], const double b[3]) {

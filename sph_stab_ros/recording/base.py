@@ -71,9 +71,9 @@ class SkipLog:
         self.name = name
         self.counts: Counter[str] = Counter()
 
-    def add(self, reason: str, detail: object) -> None:
-        """Count one; ``detail`` is logged if it is the first for this reason."""
+    def add(self, reason: str, detail: object, is_told: bool = False) -> None:
+        """Count one; ``detail`` is logged if it is the first for this reason and not told yet."""
         self.counts[reason] += 1
-        if self.counts[reason] == 1:
+        if self.counts[reason] == 1 and not is_told:
             logger.warning('%s: picture left out, %s (more of these are only counted)',
                            self.name, detail)

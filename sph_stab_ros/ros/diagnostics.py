@@ -26,6 +26,11 @@ from sph_stab_ros.stabilization.pipeline import StabilizationEvent, StabilizedFr
 from sph_stab_ros.tracking import Tracker, TrackingStatus
 
 LOG_PERIOD_S = 5.0
+# What users are told of each status but ok.
+NOT_OK = {
+    TrackingStatus.UNCERTAIN: 'the orientation has become uncertain: ~/reset would start anew',
+    TrackingStatus.PREDICTED: 'no rotation found: predicted',
+    TrackingStatus.LOST: 'no rotation found: lost'}
 
 
 class Diagnostics:
@@ -94,7 +99,7 @@ class Diagnostics:
             self.event(event.name.lower(), self._no_gravity
                        if event is StabilizationEvent.NO_GRAVITY else event.value)
         if stabilized.status is not TrackingStatus.OK:
-            self._log.warn(stabilized.status, f'no rotation found: {stabilized.status.value}')
+            self._log.warn(stabilized.status, NOT_OK[stabilized.status])
 
     def count_latency(self, latency_s: float) -> None:
         """Count a frame of which everything was published so long after its receipt."""
@@ -198,7 +203,7 @@ class Diagnostics:
         if not self._frames_in_period or self._status is None:
             return DiagnosticStatus.WARN, ': '.join(filter(None, ('no images', why_no_images)))
         if self._status is not TrackingStatus.OK:
-            return DiagnosticStatus.WARN, f'no rotation found: {self._status.value}'
+            return DiagnosticStatus.WARN, NOT_OK[self._status]
         if self._no_gravity:
             return DiagnosticStatus.WARN, self._no_gravity
         if self._watch.hint:

@@ -21,7 +21,7 @@ from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
-from sph_stab_ros.geometry.rotations import rotate_covariance
+from sph_stab_ros.geometry.rotations import rotate_covariance, standard_deviation_rad
 from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
@@ -74,9 +74,7 @@ class StabilizedFrame:
     @property
     def uncertainty_rad(self) -> float | None:
         """One standard deviation about the least certain axis; None where it is not known."""
-        if self.covariance is None:
-            return None
-        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[-1], 0)))
+        return None if self.covariance is None else standard_deviation_rad(self.covariance)
 
     @property
     def R_camera_virtual(self) -> Rotation:

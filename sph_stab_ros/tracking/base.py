@@ -13,9 +13,13 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol, TypeAlias
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Covariance, Grey
+from sph_stab_ros.geometry.rotations import standard_deviation_rad
+
+MAX_OK_SIGMA_RAD = np.deg2rad(0.5)
 
 # Returns the turn ``R_from_to`` that a gyro has seen between two stamps in ns, or None.
 GyroRotation: TypeAlias = Callable[[int, int], Rotation | None]
@@ -25,6 +29,8 @@ class TrackingStatus(Enum):
     """How much an orientation is worth."""
 
     OK = 'ok'
+    # Told from this frame, but what has added up since the beginning may be too much to rely on.
+    UNCERTAIN = 'uncertain'
     # No rotation could be told from this frame; extrapolated from the last ones.
     PREDICTED = 'predicted'
     # The same for too long: the last orientation is held, and tracking starts anew from here.
@@ -43,6 +49,12 @@ class TrackedOrientation:
     R_world_camera: Rotation
     status: TrackingStatus
     covariance: Covariance | None = None
+
+
+def status_of(covariance: Covariance) -> TrackingStatus:
+    """Return what an orientation told from its frame is worth: an error of 1° is no ok."""
+    return (TrackingStatus.OK if standard_deviation_rad(covariance) < MAX_OK_SIGMA_RAD
+            else TrackingStatus.UNCERTAIN)
 
 
 def no_gyro(from_ns: int, to_ns: int) -> None:

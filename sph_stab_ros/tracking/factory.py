@@ -15,6 +15,7 @@ import numpy as np
 
 from sph_stab_ros.config import ANCHORED, TrackerConfig
 from sph_stab_ros.geometry.masks import load_mask
+from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import GyroRotation, no_gyro, Tracker
 from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
@@ -40,16 +41,17 @@ def check_mask(config: TrackerConfig) -> None:
 
 
 def make_tracker(
-        config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro) -> Tracker:
+        config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro,
+        anchored: AnchoredOptions = AnchoredOptions()) -> Tracker:
     """
     Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
 
     ``gyro_rotation(from_ns, to_ns)`` returns the turn ``R_from_to`` that a gyro has seen between
-    two stamps, or None.
+    two stamps, or None. ``anchored`` says how the anchored tracker does what it does.
     """
     used = load_mask(config.mask, width)
     if config.estimator == ANCHORED:
-        return AnchoredTracker(width, used, config.max_prediction_s, gyro_rotation)
+        return AnchoredTracker(width, used, config.max_prediction_s, gyro_rotation, anchored)
     bound_deg = config.epipolar_bound_deg
     return FrameToFrameTracker(
         config.estimator, used, config.max_prediction_s, gyro_rotation,

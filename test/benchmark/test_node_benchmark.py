@@ -31,18 +31,29 @@ def scenario(turning_bag):
     return Scenario(turning_bag, 256, 20., 30, 'stabilized/image', 'raw', '')
 
 
-def test_figures_count_what_was_heard_of_what_was_sent():
-    stamps_ns = [10**9 + n * 10**6 for n in range(4)]
-    late = dict.fromkeys(stamps_ns[:3])
-    heard = Heard(orientations={one: one + 5 * 10**6 for one in late},
-                  images={one: one + k * 10**6 for k, one in enumerate(late)},
-                  diagnostics={'dropped': '7'}, cpu_percent={'node': 50.})
-    # What came before the first picture that counts.
-    heard.images[1] = 2
-    result = figures(stamps_ns, heard)
-    assert (result['frames'], result['orientations'], result['images']) == (4, 3, 3)
-    assert result['latency_ms']['p50'] == 1. and result['drops'] == 7
+def test_figures_count_what_was_heard_once_the_ends_have_found_each_other(scenario):
+    sent_ns = scenario.stamps_ns(10**9)
+    # The subscriber hears orientations from the 10th picture on, images from the 15th on: the next
+    # 20 are warming up, and 30 count. Of these one orientation and two images are lost.
+    heard = Heard(orientations={one: one + 5 * 10**6 for one in sent_ns[10:]},
+                  images={one: one + k * 10**6 for k, one in enumerate(sent_ns[15:])},
+                  diagnostics={'frames': '120', 'dropped': '7', 'not_drawn': '2', 'refused': '0'},
+                  cpu_percent={'node': 50.})
+    del heard.orientations[sent_ns[40]], heard.images[sent_ns[40]], heard.images[sent_ns[64]]
+    result = figures(scenario, sent_ns, heard)
+    assert (result['frames'], result['orientations'], result['images']) == (30, 29, 28)
+    assert result['latency_ms']['p50'] == pytest.approx(34.5) and result['drops'] == 7
     assert result['orientation_latency_ms'] == {'p50': 5., 'p95': 5., 'p99': 5.}
+    assert result['lost'] == {
+        'before_counting': 35, 'player_to_node': len(sent_ns) - 127, 'dropped_by_node': 7,
+        'not_drawn_by_node': 2, 'orientations_to_subscriber': 120 - len(heard.orientations),
+        'images_to_subscriber': 118 - len(heard.images)}
+
+
+def test_nothing_heard_is_all_lost(scenario):
+    none = {'frames': '0', 'dropped': '0', 'not_drawn': '0', 'refused': '0'}
+    result = figures(scenario, scenario.stamps_ns(10**9), Heard(diagnostics=none))
+    assert (result['frames'], result['orientations'], result['images']) == (30, 0, 0)
 
 
 def test_percentiles_lie_within_and_are_in_order():
@@ -57,8 +68,8 @@ def test_pictures_are_due_evenly_and_stamped_so(scenario):
             for time_ns, msg in recording.messages('image')]
     assert [one for one, *_ in sent] == scenario.stamps_ns(recording.start_ns)
     assert all(time_ns == stamp_ns and width == 256 for time_ns, stamp_ns, width in sent)
-    # A second before those that count.
-    assert len(sent) == 20 + 30 and sent[1][0] - sent[0][0] == 5 * 10**7
+    # A second before those that count, and four more to spare.
+    assert len(sent) == 20 + 30 + 80 and sent[1][0] - sent[0][0] == 5 * 10**7
 
 
 def test_the_profile_names_a_large_segment():

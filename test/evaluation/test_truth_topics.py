@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.evaluate import main
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.recording import messages, open_recording, RecordingError
-from sph_stab_ros.recording.bag import types_of
 from sph_stab_ros.recording.bag_writer import BagWriter
+from sph_stab_ros.recording.message_types import types_of
 from tiny_recordings import IMAGE_TOPIC, stamps_of, turning_spheres
 
 START_NS = 1_700_000_000_000_000_000

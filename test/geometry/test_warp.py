@@ -80,6 +80,14 @@ def test_the_warp_shows_what_a_turned_camera_sees(R):
     np.testing.assert_allclose(turned.astype(int), smooth_sphere(640, R), atol=3)
 
 
+@pytest.mark.parametrize('R', ROTATIONS)
+def test_the_warp_is_near_to_one_in_double_precision(R):
+    turned = rotate_equirect(smooth_sphere(640), R)
+    exact = smooth_sphere(640, R).astype(float)
+    psnr_db = 45
+    assert np.mean((turned - exact) ** 2) < 255 ** 2 / 10 ** (psnr_db / 10)
+
+
 def test_derotation_takes_the_rotation_out():
     R_world_camera = Rotation.random(random_state=5)
     derotated = rotate_equirect(smooth_sphere(640, R_world_camera), R_world_camera.inv())

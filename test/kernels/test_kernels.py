@@ -12,14 +12,16 @@ import shutil
 
 from bundle_windows import perturbed, true_window
 from corners import corners
+import cv2
 import numpy as np
 from pose_points import points, POSITION
 import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
+from sph_stab_ros.geometry.warp import perspective_view, rotate_equirect
 from sph_stab_ros.tracking.anchored import bundle_adjustment, pose_estimation
-from sph_stab_ros.tracking.anchored.patches import Patches, Pyramid
+from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from synthetic import random_rotation, textured_sphere, unit
 
 COMPILER = shutil.which('cc') or shutil.which('gcc')
@@ -72,7 +74,8 @@ def test_equations_of_a_bundle(both, seed):
     sizes = bundle_adjustment.residual_lengths(window, *state)
 
     def equations():
-        one = bundle_adjustment.normal_equations(window, *state, sizes)
+        one = bundle_adjustment.normal_equations(
+            window, *state, sizes, bundle_adjustment.BundleOptions())
         return one.H, one.g, one.H_rp, one.H_rr, one.g_r
     assert_close(*both(equations))
 
@@ -83,8 +86,8 @@ def test_patches(both, turn_deg):
     R = random_rotation(rng, turn_deg)
     width = 480
     x, east, south = corners(textured_sphere(width))
-    patches = Patches.cut(Pyramid(textured_sphere(width)), x, east, south)
-    image = Pyramid(textured_sphere(width, R))
+    patches = Patches.cut(Pyramid(textured_sphere(width), PatchOptions()), x, east, south)
+    image = Pyramid(textured_sphere(width, R), PatchOptions())
     seen = [R.inv().apply(one) for one in (unit(x + rng.normal(0, 0.01, x.shape)), east, south)]
     rows, scale = rng.permutation(len(x))[:80], rng.uniform(0.9, 1.1, 80)
     (offsets, correlation, _), (in_numpy, also, _) = both(lambda: patches.find(
@@ -146,3 +149,26 @@ class Interrupting:
 def test_an_interruption_stays_one():
     with pytest.raises(KeyboardInterrupt):
         kernels.library.pose_residuals(1, Interrupting(), *[np.zeros(9)] * 7)
+
+
+@pytest.mark.parametrize('shape', ((128, 256), (128, 256, 3), (75, 150, 3), (640, 1280, 3)))
+@pytest.mark.parametrize('R', Rotation.random(3, random_state=2))
+def test_the_warp(both, shape, R):
+    """At the seam, at both poles and between; both read in steps of 1/32 px."""
+    image = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    image = cv2.GaussianBlur(image, (0, 0), 1.5, borderType=cv2.BORDER_REFLECT)
+    for read in (lambda: rotate_equirect(image, R),
+                 lambda: perspective_view(image, R, np.deg2rad(130), (201, 133))):
+        compiled, with_opencv = both(read)
+        assert compiled.shape == with_opencv.shape and compiled.dtype == np.uint8
+        steepest = np.abs(np.diff(np.int16(image), axis=0)).max()
+        np.testing.assert_allclose(np.int16(compiled), with_opencv, atol=1 + steepest / 16)
+
+
+def test_pictures_that_are_not_dense_or_not_to_be_written_to(both):
+    """A crop, and the memory of a message."""
+    wide = np.random.default_rng(0).integers(0, 256, (64, 200, 3), np.uint8)
+    crop, locked = wide[:, :128], wide[:, :128].copy()
+    locked.flags.writeable = False
+    R = Rotation.random(random_state=2)
+    np.testing.assert_array_equal(rotate_equirect(crop, R), rotate_equirect(locked, R))

@@ -201,6 +201,7 @@ CONTRAST = """() => {
     ({}, 'stabilized', False),
     ({'raw': True}, 'raw', False),
     ({'robot': {'tracking': 'predicted'}}, 'doubtful', False),
+    ({'robot': {'tracking': 'uncertain'}}, 'doubtful', False),
     ({'robot': {'tracking': 'ok', 'message': 'images are refused', 'healthy': False}},
      'doubtful', False),
     ({'robot': {'tracking': 'lost'}}, 'lost', True),

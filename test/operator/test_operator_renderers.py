@@ -45,10 +45,11 @@ DRAW = """async ([module, name, file, size, looks]) => {
     }
     return drawn;
 }"""
-JPEG_444 = cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
-FILES = {'jpeg': ('.jpg', (cv2.IMWRITE_JPEG_QUALITY, 95)),
-         'jpeg with all of its chroma': ('.jpg', (cv2.IMWRITE_JPEG_QUALITY, 95, *JPEG_444)),
-         'png': ('.png', ())}
+FILES = {'jpeg': ('.jpg', (cv2.IMWRITE_JPEG_QUALITY, 95)), 'png': ('.png', ())}
+if hasattr(cv2, 'IMWRITE_JPEG_SAMPLING_FACTOR'):
+    FILES['jpeg with all of its chroma'] = '.jpg', (
+        cv2.IMWRITE_JPEG_QUALITY, 95,
+        cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
 class Handler(SimpleHTTPRequestHandler):

@@ -18,12 +18,13 @@ from painted_room import flight, room, tracked
 import pytest
 from scipy.stats import chi2
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.recording import open_recording
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
-from sph_stab_ros.tracking.base import TrackedOrientation
-from synthetic import unit
+from sph_stab_ros.tracking.base import TrackedOrientation, TrackingStatus
+from synthetic import angle_deg, unit
 from tracking_accuracy import ROOT
 
 pytestmark = pytest.mark.thorough
@@ -129,3 +130,27 @@ def test_a_covariance_four_times_off_is_found_out(monkeypatch, flights, factor):
     squares = in_the_room(flights)
     assert not is_consistent(squares[:, END - 1])
     assert not is_consistent(squares[:, START - 1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('lon_deg, lat_deg', ((70, 45), (90, 90)))
+def test_no_status_is_ok_where_an_error_exceeds_a_degree(lon_deg, lat_deg):
+    """In pictures that are black but for a part: turns and sideways motion look alike there."""
+    recording = open_recording(ROOT / 'bags' / 'drone')
+    truth, stabilizer = read_truth(recording, find_truth_topic(recording)), Stabilizer()
+    errors_deg = {status: [] for status in TrackingStatus}
+    for frame in recording.frames():
+        R_world_camera = truth.at([frame.stamp_ns])[0] * R_CAMERA_MARKERS.inv()
+        if not any(map(len, errors_deg.values())):
+            R_world_first = R_world_camera
+            x, y, z = np.moveaxis(bearing_grid(frame.image.shape[1]), -1, 0)
+            black = ((np.abs(np.arctan2(x, z)) > np.deg2rad(lon_deg))
+                     | (np.abs(np.arcsin(y)) > np.deg2rad(lat_deg)))
+        frame.image[black] = 0
+        result = stabilizer.process(frame)
+        errors_deg[result.status].append(
+            angle_deg(result.R_world_camera, R_world_first.inv() * R_world_camera))
+    assert max(errors_deg[TrackingStatus.OK]) < 1
+    # It is tracked all the same, and no status is a way out of the first frames.
+    assert not errors_deg[TrackingStatus.LOST]
+    assert len(errors_deg[TrackingStatus.OK]) > 30

@@ -35,6 +35,9 @@ export function situation({failure, connectedAt, reason, pictureAt, stabilized, 
   if (robot?.tracking === 'predicted') {
     return {name: 'doubtful', icon: 'i-warn', text: 'Guessing the rotation'};
   }
+  if (robot?.tracking === 'uncertain') {
+    return {name: 'doubtful', icon: 'i-warn', text: 'Drifting: reset when it matters'};
+  }
   if (robot?.message && !robot.healthy) {
     return {name: 'doubtful', icon: 'i-warn',
             text: robot.message[0].toUpperCase() + robot.message.slice(1)};
