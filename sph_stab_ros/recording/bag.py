@@ -29,10 +29,10 @@ from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame, frame_from_message
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.times import PictureClock
-from sph_stab_ros.recording.base import RecordingError, SkipLog
+from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.containers import Channel, Containers
 from sph_stab_ros.recording.containers.kinds import ZSTD
-from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times
+from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times, within
 
 logger = logging.getLogger(__name__)
 
@@ -54,8 +54,10 @@ class BagRecording:
     that was cut short or damaged all that is whole is read.
     """
 
-    def __init__(self, path: Path, image_topic: str | None = None) -> None:
+    def __init__(self, path: Path, image_topic: str | None = None, stretch: Stretch = Stretch()
+                 ) -> None:
         self.path = path
+        self._stretch = stretch
         self.name = path.name
         self._containers = Containers(path)
         counts: Counter[str] = Counter()
@@ -86,7 +88,8 @@ class BagRecording:
         if first and known is None:
             # Only here, as it takes to read the beginning twice.
             known = first_stamp(stamp for stamp, _ in islice(self._stamped(), MAX_UNSTAMPED))
-        for times, msg in with_times(self.name, stamped, PictureClock(first=known)):
+        timed = with_times(self.name, stamped, PictureClock(first=known))
+        for times, msg in within(self.name, timed, self._stretch):
             try:
                 frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
             except ImageError as error:
