@@ -223,6 +223,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 pictures=args.out is not None)
         for line in report(summary, config, time.perf_counter() - start_s):
             print(line)
+        if args.out and args.out.suffix and summary.colour and summary.colour.assumed:
+            print(f'colours are taken to be of {summary.colour.assumed}: no tag says so')
         if imu is not None:
             print(f'levelled by {imu.samples} samples of {imu.topic}, {imu.refused} left out')
 

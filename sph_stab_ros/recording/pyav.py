@@ -11,6 +11,8 @@
 from sph_stab_ros.recording.base import RecordingError
 
 try:
-    import av as av
+    import av
 except ImportError:
     raise RecordingError("video files need PyAV: pip install 'sph_stab_ros[video]'") from None
+
+__all__ = ['av']

@@ -11,6 +11,7 @@
 from collections.abc import Iterator
 from contextlib import ExitStack
 from fractions import Fraction
+import io
 import logging
 import math
 from pathlib import Path
@@ -48,18 +49,16 @@ class Sound:
         self._name = source.name
         self._target = target
         self._first_ns = first_ns
+        self._is_damaged = False
         self._stack = ExitStack()
         container = self._stack.enter_context(av.open(str(source), metadata_errors='replace'))
         self._streams: dict[int, Any] = {}
         for stream in container.streams.audio:
-            codec = stream.codec_context.name
-            try:
-                copied = target.add_stream_from_template(stream)
-            except (ValueError, av.FFmpegError) as error:
-                logger.debug('%s: %r', self._name, error)
-                logger.warning('%s: its sound (%s) cannot be held by %s and is left out',
-                               self._name, codec, target.format.name)
+            if not can_hold(target.format.name, source, stream.index):
+                logger.warning('%s: its sound is %s, which %s files cannot hold, and is left out',
+                               self._name, stream.codec_context.name, target.format.name)
                 continue
+            copied = target.add_stream_from_template(stream)
             copied.metadata.update(stream.metadata)
             self._streams[stream.index] = copied
         self._packets = self._to_copy(container)
@@ -98,8 +97,13 @@ class Sound:
                     yield before.pop(packet.stream_index)
                 yield packet
         except av.FFmpegError as error:
-            logger.debug('%s: %r', self._name, error)
-            logger.warning('%s: its sound is damaged, what comes before is copied', self._name)
+            self._say_damaged(error)
+
+    def _say_damaged(self, error: Exception) -> None:
+        logger.debug('%s: %r', self._name, error)
+        if not self._is_damaged:
+            logger.warning('%s: its sound is damaged, what can be is copied', self._name)
+        self._is_damaged = True
 
     def _seek(self, container: 'av.container.InputContainer', stream: Any) -> None:
         """Go to a little before the first picture, where that is worth it."""
@@ -117,7 +121,25 @@ class Sound:
         packet.pts -= first
         packet.dts -= first
         packet.stream = self._streams[packet.stream_index]
-        self._target.mux(packet)
+        try:
+            self._target.mux(packet)
+        except (ValueError, av.FFmpegError) as error:
+            self._say_damaged(error)
+
+
+def can_hold(format_name: str, source: Path, index: int) -> bool:
+    """Tell whether a stream can be copied into a format: some muxers learn it from packets."""
+    try:
+        with av.open(io.BytesIO(), 'w', format_name) as trial, av.open(str(source)) as container:
+            stream = container.streams[index]
+            copied = trial.add_stream_from_template(stream)
+            packet = next(packet for packet in container.demux(stream) if packet.size)
+            packet.stream = copied
+            trial.mux(packet)
+    except (ValueError, StopIteration, av.FFmpegError) as error:
+        logger.debug('%s: %r', source, error)
+        return False
+    return True
 
 
 def start_ns(packet: Any) -> int:

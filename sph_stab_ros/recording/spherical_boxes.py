@@ -17,7 +17,7 @@ them only from what PyAV cannot set, so they are put into the index of a finishe
 from collections.abc import Iterator
 from pathlib import Path
 import shutil
-from struct import pack, unpack_from
+from struct import calcsize, pack, unpack_from
 from typing import BinaryIO, NamedTuple
 
 # Of version 1.
@@ -50,7 +50,7 @@ class Box(NamedTuple):
 
 
 def write_spherical(path: Path) -> None:
-    """Say in an MP4 or MOV file that its video shows whole spheres; ValueError where it is none."""
+    """Say in an MP4 or MOV file that its pictures are spheres; ValueError where it is none."""
     with path.open('r+b') as file:
         found = {box.name: box for box in file_boxes(file)}
         moov = found.get(b'moov')
@@ -59,6 +59,8 @@ def write_spherical(path: Path) -> None:
         file.seek(moov.start)
         index = file.read(moov.end - moov.start)
         edited = with_metadata(index)
+        if UUID not in edited:
+            raise ValueError('there is no video track')
         growth = len(edited) - len(index)
         if moov.end == file.seek(0, 2):
             file.seek(moov.start)
@@ -82,9 +84,9 @@ def with_metadata(data: bytes, index_start: int = 0, shift: int = 0) -> bytes:
 
     Media that lie behind ``index_start`` in the file are moved by ``shift``.
     """
-    parts = []
+    parts, end = [], 0
     for box in boxes(data):
-        content = data[box.content:box.end]
+        content, end = data[box.content:box.end], box.end
         if box.name in CONTAINERS:
             content = with_metadata(content, index_start, shift)
         if box.name == b'trak' and is_video(content):
@@ -92,14 +94,14 @@ def with_metadata(data: bytes, index_start: int = 0, shift: int = 0) -> bytes:
         elif box.name in OFFSETS:
             content = moved(content, OFFSETS[box.name], index_start, shift)
         parts.append(packed(box.name, content))
-    return b''.join(parts)
+    return b''.join(parts) + data[end:]
 
 
 def with_sample_entries(data: bytes) -> bytes:
     """Return boxes of a video track with version 2 of the metadata in their sample entries."""
-    parts = []
+    parts, end = [], 0
     for box in boxes(data):
-        content = data[box.content:box.end]
+        content, end = data[box.content:box.end], box.end
         if box.name in CONTAINERS:
             content = with_sample_entries(content)
         elif box.name == b'stsd':
@@ -108,7 +110,7 @@ def with_sample_entries(data: bytes) -> bytes:
                 packed(entry.name, entries[entry.content:entry.end] + version_2())
                 for entry in boxes(entries))
         parts.append(packed(box.name, content))
-    return b''.join(parts)
+    return b''.join(parts) + data[end:]
 
 
 def version_2() -> bytes:
@@ -122,13 +124,15 @@ def version_2() -> bytes:
 
 def moved(content: bytes, kind: str, index_start: int, shift: int) -> bytes:
     """Return the content of a table of offsets of which those behind the index are moved."""
-    count, = unpack_from('>I', content, 4)
+    count = int.from_bytes(content[4:8], 'big')
     layout = f'>{count}{kind}'
+    if len(content) < 8 + calcsize(layout):
+        raise ValueError('a table of offsets is cut short')
     offsets = [one + shift if one > index_start else one
                for one in unpack_from(layout, content, 8)]
     if kind == 'I' and max(offsets, default=0) >= 2**32:
         raise ValueError('the file is too large for its table of offsets')
-    return content[:8] + pack(layout, *offsets)
+    return content[:8] + pack(layout, *offsets) + content[8 + calcsize(layout):]
 
 
 def is_video(track: bytes) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_time import PictureTime, Stamp
+from sph_stab_ros.images.picture_time import PictureTime
 from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.picture_times import with_times, within
@@ -24,7 +24,7 @@ from sph_stab_ros.recording.pyav import av
 from sph_stab_ros.recording.spherical import layout_of
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 from sph_stab_ros.recording.video_picture import side_data_of, tagged_colour, VideoPicture
-from sph_stab_ros.recording.video_stream import PictureStream
+from sph_stab_ros.recording.video_stream import PictureStream, Stamped
 
 logger = logging.getLogger(__name__)
 
@@ -75,20 +75,19 @@ class VideoRecording:
         with self._open() as container:
             pictures = PictureStream(container, self.name, self._skip_log)
             self._say_what_is_assumed(pictures)
-            first, stamped = pictures.stamped(self._stretch.start_ns)
+            stamped = pictures.stamped(self._stretch.start_ns)
             if stamped is not None:
-                yield from self._frames(pictures, first, stamped)
+                yield from self._frames(pictures, stamped)
                 return
-        # Where there is no key picture to begin with but the first.
         with self._open() as container:
             pictures = PictureStream(container, self.name, self._skip_log)
-            yield from self._frames(pictures, *pictures.stamped())
+            yield from self._frames(pictures, pictures.stamped())
 
-    def _frames(self, pictures: PictureStream, first: Stamp | None,
-                stamped: Iterator[tuple[Stamp, 'av.VideoFrame']]) -> Iterator[Frame]:
+    def _frames(self, pictures: PictureStream, stamped: Stamped | None) -> Iterator[Frame]:
+        assert stamped is not None, 'from the beginning there is no key picture missing'
+        first_ns, from_there = stamped
         clock = PictureClock(round(NS_PER_S / pictures.rate))
-        timed = with_times(self.name, stamped, clock)
-        first_ns = None if first is None else first.stamp_ns
+        timed = with_times(self.name, from_there, clock)
         for times, picture in within(self.name, timed, self._stretch, first_ns):
             yield self._frame(picture, times, pictures.stream)
 

@@ -11,34 +11,31 @@
 from collections.abc import Callable
 from fractions import Fraction
 from functools import cached_property
+import re
 from typing import Any, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sph_stab_ros.geometry.arrays import Grey, Image
+from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.images.colour import (
-    BT2020, BT470BG, BT709, Colour, colour_of, SMPTE170M, STANDARD)
+    Colour, colour_of, grey_from_luma, resized, STANDARD, to_bgr)
 from sph_stab_ros.recording.pyav import av
 
 LIMITED, FULL = 1, 2
-# Of eight bits each, in planes, the first of which is luma.
-LUMA_FORMATS = {f'{family}{sampling}p' for family in ('yuv', 'yuvj')
-                for sampling in ('410', '411', '420', '422', '440', '444')} | {'nv12', 'nv21'}
 GREY_FORMAT = 'gray'
-# Luma of limited range, 16 for black and 235 for white, as grey.
-FROM_LIMITED = np.clip(np.rint((np.arange(256.) - 16) * 255 / 219), 0, 255).astype(np.uint8)
-# Of swscale's, not all of which PyAV 15 names. By default it truncates, which makes pictures darker.
-BILINEAR, AREA, ROUNDED = 0x2, 0x20, 0x40000
+# Y', Cb and Cr in planes of eight bits or of words with more.
+PLANAR_FORMAT = re.compile(r'yuvj?4\d\dp(?:(9|10|12|14|16)le)?')
+# What others are made, without a change of colours, or of range.
+OTHER_YUV, OTHER = 'yuv444p', 'bgr24'
 
 
 class VideoPicture:
     """
     A picture of a video, of which no more is converted than somebody asks for.
 
-    For tracking luma is enough, which is there already. Colours are made of three planes, which
-    is twice as fast as swscale's own way to packed ones where that is exact.
+    For tracking its luma is enough, which is there already.
 
     Parameters
     ----------
@@ -66,42 +63,37 @@ class VideoPicture:
         """Return the whole picture, (H, W, 3) uint8 in BGR order, or (H, W) where it is grey."""
         if self._picture.format.name == GREY_FORMAT:
             return self.at_least(0)
-        if self._picture.format.is_rgb:
-            return self._upright(self._converted('bgr24').to_ndarray())
-        green, blue, red = (plane_of(self._converted('gbrp'), index) for index in range(3))
-        return self._upright(cv2.merge((blue, green, red)))
-
-    def at_least(self, width: int) -> Grey:
-        """Return the picture in grey, the same whether anybody looks at its colours or not."""
-        name = self._picture.format.name
-        if name not in LUMA_FORMATS and name != GREY_FORMAT:
-            return self._upright(plane_of(self._converted('gray'), 0))
-        luma = plane_of(self._picture, 0)
-        if not self._colour.is_full_range:
-            luma = cv2.LUT(luma, FROM_LIMITED)
-        if luma.shape != self._square_wh[::-1]:
-            luma = cv2.resize(luma, self._square_wh, interpolation=cv2.INTER_AREA)
-        return self._upright(luma)
-
-    def _converted(self, name: str) -> av.VideoFrame:
-        """Return the picture in another format of full range."""
+        if is_yuv(self._picture):
+            picture, bits = self._planar
+            planes = [plane_of(picture, index, bits) for index in range(3)]
+            return self._upright(to_bgr(planes, self._square_wh, self._colour, bits))
         width, height = self._square_wh
-        return converted(self._picture, name, self._colour, True, width=width, height=height)
+        image: Any = self._picture.to_ndarray(format=OTHER, width=width, height=height)
+        return self._upright(image)
 
+    def at_least(self, width: int) -> Image:
+        """Return the picture in grey, the same whether anybody looks at its colours or not."""
+        if self._picture.format.name == GREY_FORMAT:
+            luma = plane_of(self._picture, 0)
+        elif is_yuv(self._picture):
+            picture, bits = self._planar
+            luma = plane_of(picture, 0, bits)
+            if bits > 8:
+                most = (2 ** bits - 1) / 255 if self._colour.is_full_range else 2 ** (bits - 8)
+                luma = cv2.convertScaleAbs(luma, alpha=1 / most)
+        else:
+            return self.image
+        if not self._colour.is_full_range:
+            luma = cv2.LUT(luma, grey_from_luma(False))
+        return self._upright(resized(luma, self._square_wh))
 
-def converted(picture: av.VideoFrame, name: str, colour: Colour, from_yuv: bool, **size: int
-              ) -> av.VideoFrame:
-    """Return a picture in another format: from or to Y'CbCr of a Colour, to or from R'G'B'."""
-    # swscale knows the two of BT.601 by one number, and the others by those of H.273.
-    matrix = BT470BG if colour.matrix == SMPTE170M else colour.matrix
-    # R'G'B' has none, but PyAV before 17 heeds these only where they differ.
-    other = BT709 if matrix == BT2020 else BT2020
-    yuv, rgb = (matrix, range_tag(colour)), (other, FULL)
-    (source, source_range), (target, target_range) = (yuv, rgb) if from_yuv else (rgb, yuv)
-    return picture.reformat(
-        format=name, src_colorspace=source, src_color_range=source_range,
-        dst_colorspace=target, dst_color_range=target_range,
-        interpolation=ROUNDED | (BILINEAR if from_yuv else AREA), **size)
+    @cached_property
+    def _planar(self) -> tuple[av.VideoFrame, int]:
+        """Return the picture in planes, and how many bits they have."""
+        match = PLANAR_FORMAT.fullmatch(self._picture.format.name)
+        if match is None:
+            return self._picture.reformat(format=OTHER_YUV), 8
+        return self._picture, int(match[1] or 8)
 
 
 def range_tag(colour: Colour) -> int:
@@ -109,16 +101,23 @@ def range_tag(colour: Colour) -> int:
     return FULL if colour.is_full_range else LIMITED
 
 
-def plane_of(picture: av.VideoFrame, index: int) -> NDArray[np.uint8]:
-    """Return a plane (H, W) of eight bits; it is the picture's own memory."""
+def is_yuv(picture: av.VideoFrame) -> bool:
+    """Tell whether pictures are not made of red, green and blue."""
+    kind = picture.format
+    return not (kind.is_rgb or kind.has_palette or kind.is_bayer)
+
+
+def plane_of(picture: av.VideoFrame, index: int, bits: int = 8) -> NDArray[np.uint8 | np.uint16]:
+    """Return a plane (H, W) of so many bits; it is the picture's own memory."""
     plane = picture.planes[index]
-    rows = np.frombuffer(cast(Any, plane), np.uint8).reshape(-1, plane.line_size)
+    kind = np.dtype(np.uint8 if bits == 8 else np.uint16)
+    rows = np.frombuffer(cast(Any, plane), kind).reshape(-1, plane.line_size // kind.itemsize)
     return rows[:plane.height, :plane.width]
 
 
 def tagged_colour(picture: av.VideoFrame, codec: av.VideoCodecContext) -> Colour:
     """Return the Colour of a picture, and of those after it, that ``codec`` has decoded."""
-    if picture.format.is_rgb:
+    if not is_yuv(picture):
         return STANDARD
     is_full_range = {LIMITED: False, FULL: True}.get(int(picture.color_range))
     if is_full_range is None and picture.format.name.startswith('yuvj'):
@@ -130,7 +129,8 @@ def tagged_colour(picture: av.VideoFrame, codec: av.VideoCodecContext) -> Colour
 def side_data_of(picture: av.VideoFrame) -> dict[str, bytes]:
     """Return what FFmpeg tells of a picture besides, by its names; nothing where PyAV cannot."""
     try:
-        return {one.type.name: bytes(cast(Any, one)) for one in picture.side_data}
+        side_data: Any = picture.side_data
+        return {one.type.name: bytes(one) for one in side_data}
     except ValueError:
         # One of them is newer than PyAV.
         return {}

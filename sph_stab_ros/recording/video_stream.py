@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 import logging
 import math
+from typing import TypeAlias
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.picture_time import Stamp
@@ -21,6 +22,10 @@ from sph_stab_ros.recording.picture_times import peeked
 from sph_stab_ros.recording.pyav import av
 
 logger = logging.getLogger(__name__)
+
+Pictures: TypeAlias = Iterator[tuple[Stamp, 'av.VideoFrame']]
+# The time of the first picture of all, where it has one, and those that were asked for.
+Stamped: TypeAlias = tuple[int | None, Pictures]
 
 # Containers round their durations, and sound may end after the pictures.
 MISSING_END_S = 0.5
@@ -63,23 +68,22 @@ class PictureStream:
         self.has_presentation_times = self.has_times and container.format.name != 'avi'
         self._counted_from_ns = -math.inf
 
-    def stamped(self, start_ns: int = 0
-                ) -> tuple[Stamp | None, Iterator[tuple[Stamp, 'av.VideoFrame']] | None]:
+    def stamped(self, start_ns: int = 0) -> Stamped | None:
         """
-        Return the first Stamp of all, and pictures with Stamps from ``start_ns`` after it on.
+        Return the time of the first picture of all, and pictures with Stamps from ``start_ns`` after it on.
 
         Some before that may come too. None where the video must be opened anew to be read from
-        the beginning.
+        the beginning, because there is no key picture between.
         """
         first, from_beginning = peeked(self._decoded())
         first_ns = None if first is None else first[0].stamp_ns
         if first is None or first_ns is None or start_ns <= 0 or not self.has_presentation_times:
-            return first and first[0], from_beginning
+            return first_ns, from_beginning
         self._counted_from_ns = first_ns + start_ns
-        return first[0], self._from_key_picture(first_ns, first_ns + start_ns)
+        pictures = self._from_key_picture(first_ns, first_ns + start_ns)
+        return None if pictures is None else (first_ns, pictures)
 
-    def _from_key_picture(self, first_ns: int, wanted_ns: int
-                          ) -> Iterator[tuple[Stamp, 'av.VideoFrame']] | None:
+    def _from_key_picture(self, first_ns: int, wanted_ns: int) -> Pictures | None:
         """Return pictures from the last key picture on that is shown by the time wanted."""
         back_ns = 0
         while wanted_ns - back_ns > first_ns and self.stream.time_base:
@@ -96,7 +100,7 @@ class PictureStream:
             back_ns = max(2 * back_ns, STEP_BACK_NS)
         return None
 
-    def _decoded(self) -> Iterator[tuple[Stamp, 'av.VideoFrame']]:
+    def _decoded(self) -> Pictures:
         in_order: deque[int] = deque()
         is_avi = self.has_times and not self.has_presentation_times
         count, end_s, cut = 0, 0., False
@@ -118,6 +122,9 @@ class PictureStream:
         except av.FFmpegError as error:
             logger.debug('%s: %r', self._name, error)
             cut = True
+        if not count and self._counted_from_ns > -math.inf:
+            # A key picture was looked for too late.
+            return
         if cut or (self.duration_s or 0.) - end_s > MISSING_END_S:
             logger.warning('%s is truncated or damaged: %d pictures were read, up to %.3f s%s',
                            self._name, count, end_s,

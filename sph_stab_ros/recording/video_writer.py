@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.images.colour import Colour, STANDARD
+from sph_stab_ros.images.colour import Colour, from_bgr, STANDARD
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.side_by_side import as_bgr
 from sph_stab_ros.images.times import PictureClock
@@ -26,7 +27,7 @@ from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.pyav import av
 from sph_stab_ros.recording.sound import Sound
 from sph_stab_ros.recording.spherical_boxes import write_spherical
-from sph_stab_ros.recording.video_picture import converted, range_tag
+from sph_stab_ros.recording.video_picture import range_tag
 
 logger = logging.getLogger(__name__)
 
@@ -76,7 +77,7 @@ class VideoWriter:
         return self
 
     def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
-        # Also after an error, so that what there is can be read: it may be that somebody stopped it.
+        # Also after an error, so that what there is can be read: somebody may have stopped it.
         try:
             if self._stream is not None:
                 self._container.mux(self._stream.encode())
@@ -100,8 +101,10 @@ class VideoWriter:
             image = cv2.resize(image, (self._stream.width, self._stream.height))
         if self._sound is not None:
             self._sound.copy_until(time_ns)
-        picture = converted(av.VideoFrame.from_ndarray(as_bgr(image), format='bgr24'),
-                            PIXEL_FORMAT, self._colour, from_yuv=False)
+        # One plane after the other.
+        planes = np.concatenate([one.ravel() for one in from_bgr(as_bgr(image), self._colour)])
+        picture = av.VideoFrame.from_ndarray(
+            planes.reshape(-1, image.shape[1]), format=PIXEL_FORMAT)
         picture.pts = self._last_pts = max(
             self._last_pts + 1,
             round(Fraction(time_ns - self._first_ns, NS_PER_S) / TIME_BASE))
