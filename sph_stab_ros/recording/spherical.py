@@ -12,14 +12,17 @@ Which eye and which part of the sphere a video's metadata say its pictures show.
 FFmpeg reads them: Google's spherical metadata, version 1 (XML in a uuid box of MP4 files) and
 version 2 (boxes st3d and sv3d), those of Matroska, and the frame packing of H.264 and H.265. It
 hands them on beside each picture as its structs AVSphericalMapping and AVStereo3D, the beginnings
-of which are the same in all its versions.
+of which are the same in all its versions. It does not read the cropped area of version 1.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+import re
 from struct import unpack_from
 
 from sph_stab_ros.geometry.layout import FRONT, Layout, LEFT_HALF, Part, TOP_HALF, WHOLE
 from sph_stab_ros.recording.base import RecordingError
+from sph_stab_ros.recording.spherical_boxes import boxes, index_of, UUID
 
 # AVSphericalProjection.
 EQUIRECTANGULAR, TILE, HALF_EQUIRECTANGULAR = 0, 2, 3
@@ -30,24 +33,54 @@ RIGHT_FIRST = 1
 OTHER_PACKINGS = {3: 'alternate pictures', 4: 'a checkerboard', 5: 'a quincunx', 6: 'lines',
                   7: 'columns'}
 SPHERICAL, STEREO = 'SPHERICAL', 'STEREO3D'
+CROPPED = re.compile(r'<GSpherical:(\w+)Pixels>\s*(\d+)\s*<')
 # Of an eye's picture: wider ones show a whole sphere where nothing is said.
 MAX_HALF_SPHERE_ASPECT = 1.25
 
 
-def layout_of(side_data: Mapping[str, bytes], size_wh: tuple[int, int]) -> Layout | None:
+def layout_of(side_data: Mapping[str, bytes], size_wh: tuple[int, int],
+              cropped: Part | None = None) -> Layout | None:
     """
     Return the Layout of pictures (width, height), None of a whole sphere or where nothing is said.
 
-    ``side_data`` are FFmpeg's by their names. RecordingError, without the name of the recording,
-    where the pictures are of a kind that is not read.
+    ``side_data`` are FFmpeg's by their names, ``cropped`` is what cropped_area() says.
+    RecordingError, without the name of the recording, where the pictures are of a kind that is not
+    read.
     """
     eye = _eye(side_data.get(STEREO))
     shown = _shown(side_data.get(SPHERICAL))
+    if cropped is not None and shown == WHOLE:
+        shown = cropped
     if shown is None:
         left, top, right, bottom = eye.edges_px(size_wh)
         is_half = eye != WHOLE and right - left < MAX_HALF_SPHERE_ASPECT * (bottom - top)
         shown = FRONT if is_half else WHOLE
     return None if eye == shown == WHOLE else Layout(eye, shown)
+
+
+def cropped_area(path: Path) -> Part | None:
+    """Return which part of the sphere version 1 says that is shown, None where it does not."""
+    try:
+        with path.open('rb') as file:
+            index = index_of(file)
+        xml = next(data for track in children(index, b'trak') for data in children(track, b'uuid')
+                   if data.startswith(UUID)).decode(errors='replace')
+        number = {name: int(value) for name, value in CROPPED.findall(xml)}
+        width, height = number['FullPanoWidth'], number['FullPanoHeight']
+        left, top = number['CroppedAreaLeft'], number['CroppedAreaTop']
+        part = Part(left / width, top / height,
+                    (left + number['CroppedAreaImageWidth']) / width,
+                    (top + number['CroppedAreaImageHeight']) / height)
+    except (OSError, ValueError, StopIteration, KeyError, ZeroDivisionError):
+        return None
+    return part if part.left < part.right <= 1 and part.top < part.bottom <= 1 else None
+
+
+def children(data: bytes, name: bytes) -> Iterator[bytes]:
+    """Yield the contents of the boxes of a name in bytes; ValueError where they are none."""
+    for box in boxes(data):
+        if box.name == name:
+            yield data[box.content:box.end]
 
 
 def _eye(stereo: bytes | None) -> Part:

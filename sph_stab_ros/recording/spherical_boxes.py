@@ -152,6 +152,15 @@ def boxes(data: bytes) -> Iterator[Box]:
         start = box.end
 
 
+def index_of(file: BinaryIO) -> bytes:
+    """Return the content of a file's box moov; ValueError where there is none."""
+    for box in file_boxes(file):
+        if box.name == b'moov':
+            file.seek(box.content)
+            return file.read(box.end - box.content)
+    raise ValueError('there is no index')
+
+
 def file_boxes(file: BinaryIO) -> Iterator[Box]:
     """Yield the outermost boxes of a file; ValueError where they are none."""
     start, end = 0, file.seek(0, 2)

@@ -21,7 +21,7 @@ from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.picture_times import with_times, within
 from sph_stab_ros.recording.pyav import av
-from sph_stab_ros.recording.spherical import layout_of
+from sph_stab_ros.recording.spherical import cropped_area, layout_of
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 from sph_stab_ros.recording.video_picture import side_data_of, tagged_colour, VideoPicture
 from sph_stab_ros.recording.video_stream import PictureStream, Stamped
@@ -45,6 +45,7 @@ class VideoRecording:
         self.path = path
         self.name = path.name
         self._stretch = stretch
+        self._cropped = cropped_area(path)
         self._skip_log = SkipLog(self.name)
         with self._open() as container:
             pictures = PictureStream(container, self.name, self._skip_log)
@@ -99,7 +100,7 @@ class VideoRecording:
         source = VideoPicture(picture, stream.sample_aspect_ratio, colour,
                               side_data.get('DISPLAYMATRIX'))
         try:
-            layout = layout_of(side_data, source.size_wh)
+            layout = layout_of(side_data, source.size_wh, self._cropped)
         except RecordingError as error:
             raise RecordingError(f'{self.name}: {error}') from None
         return Frame(source, times.stamp_ns, times=times, layout=layout, colour=colour)
