@@ -62,6 +62,9 @@ def within(name: str, timed: Iterable[tuple[PictureTime, Item]], stretch: Stretc
     ``first_ns`` is the time of the recording's first picture where these begin later.
     RecordingError where the recording ends before.
     """
+    if stretch == Stretch():
+        yield from timed
+        return
     elapsed_ns, found = 0, False
     for times, item in timed:
         first_ns = times.time_ns if first_ns is None else first_ns
@@ -71,7 +74,7 @@ def within(name: str, timed: Iterable[tuple[PictureTime, Item]], stretch: Stretc
         if elapsed_ns >= stretch.start_ns:
             found = True
             yield times, item
-    if not found and stretch != Stretch() and first_ns is not None:
+    if not found and first_ns is not None:
         raise RecordingError(f'{name} has no picture from {stretch.start_s:g} s '
                              + (f'to {stretch.end_s:g} s' if stretch.end_s < math.inf else 'on')
                              + f', the last one read is at {elapsed_ns / NS_PER_S:.3f} s')

@@ -70,14 +70,24 @@ class PictureStream:
 
     def stamped(self, start_ns: int = 0) -> Stamped | None:
         """
-        Return the time of the first picture of all, and pictures with Stamps from ``start_ns`` after it on.
+        Return the time of the first picture of all, and pictures from ``start_ns`` after it on.
 
         Some before that may come too. None where the video must be opened anew to be read from
         the beginning, because there is no key picture between.
         """
+        if start_ns > 0:
+            # Nothing counts yet.
+            self._counted_from_ns = math.inf
         first, from_beginning = peeked(self._decoded())
         first_ns = None if first is None else first[0].stamp_ns
-        if first is None or first_ns is None or start_ns <= 0 or not self.has_presentation_times:
+        if first_ns is None or not self.has_presentation_times:
+            self._counted_from_ns = -math.inf
+            return first_ns, from_beginning
+        if self.stream.start_time is not None and self.stream.time_base:
+            # The first picture may be damaged.
+            first_ns = min(first_ns, round(
+                self.stream.start_time * self.stream.time_base * NS_PER_S))
+        if start_ns <= 0:
             return first_ns, from_beginning
         self._counted_from_ns = first_ns + start_ns
         pictures = self._from_key_picture(first_ns, first_ns + start_ns)
@@ -123,7 +133,7 @@ class PictureStream:
             logger.debug('%s: %r', self._name, error)
             cut = True
         if not count and self._counted_from_ns > -math.inf:
-            # A key picture was looked for too late.
+            # That is where a key picture was looked for in vain.
             return
         if cut or (self.duration_s or 0.) - end_s > MISSING_END_S:
             logger.warning('%s is truncated or damaged: %d pictures were read, up to %.3f s%s',
