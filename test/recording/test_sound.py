@@ -45,8 +45,9 @@ def call(*args):
 
 @pytest.mark.parametrize('name, codec, out', [
     ('a.mp4', 'aac', 'out.mp4'), ('a.mp4', 'aac', 'out.mov'), ('a.mkv', 'aac', 'out.mp4'),
-    ('a.ts', 'aac', 'out.mp4'), ('a.mkv', 'libopus', 'out.mp4'), ('a.mp4', 'libmp3lame', 'out.mov'),
-    ('a.mkv', 'flac', 'out.mp4'), ('a.mov', 'pcm_s16le', 'out.mov'), ('a.mkv', 'ac3', 'out.mp4'),
+    ('a.ts', 'aac', 'out.mp4'), ('a.mkv', 'libopus', 'out.mp4'),
+    ('a.mp4', 'libmp3lame', 'out.mov'), ('a.mkv', 'flac', 'out.mp4'),
+    ('a.mov', 'pcm_s16le', 'out.mov'), ('a.mkv', 'ac3', 'out.mp4'),
     ('a.avi', 'libmp3lame', 'out.mp4')])
 def test_all_packets_are_copied(tmp_path, name, codec, out):
     """Byte by byte, at their times, whatever the containers."""

@@ -41,7 +41,7 @@ def packets(path):
 
 
 def said(path):
-    """Return FFmpeg's structs of the sphere and of stereo, and the version of metadata by name."""
+    """Return what FFmpeg tells beside the first picture, by name: its structs as bytes."""
     with av.open(str(path)) as container:
         picture = next(container.decode(video=0))
     return {one.type.name: bytes(one) for one in picture.side_data}
@@ -196,8 +196,8 @@ def test_what_is_no_such_file_stays_as_it_is(tmp_path):
 def test_damaged_files_are_refused_or_read(tmp_path_factory, found, rest):
     """No other error, no endless loop."""
     path = tmp_path_factory.mktemp('damaged') / 'a.mp4'
-    path.write_bytes(b''.join(
-        pack('>I4s', max(8 + len(data) + off, 0), name) + data for name, data, off in found) + rest)
+    parts = [pack('>I4s', max(8 + len(data) + off, 0), name) + data for name, data, off in found]
+    path.write_bytes(b''.join(parts) + rest)
     try:
         write_spherical(path)
     except ValueError:

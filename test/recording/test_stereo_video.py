@@ -85,10 +85,9 @@ def test_metadata_of_mp4_files_are_heeded(tmp_path, kind, version):
     if version == 2:
         videos.tagged(path, videos.stereo_box(mode) + videos.sphere_box(*bounds))
     else:
-        eye_wh = (500, 500) if bounds else (1000, 500)
         videos.tagged(path, xml=videos.xml_metadata(
             ('mono', 'top-bottom', 'left-right')[mode],
-            cropped(250, *eye_wh[:1], 0, eye_wh[1]) if bounds else ''))
+            cropped(250, 500, 0, 500) if bounds else ''))
     expected = Layout({0: WHOLE, 1: TOP_HALF, 2: LEFT_HALF}[mode], FRONT if bounds else WHOLE)
     assert layout(path) == expected
     sphere = as_sphere(next(open_recording(path).frames()), StabilizerConfig()).image
@@ -202,6 +201,7 @@ def test_the_tracker_is_told_what_is_seen():
     told = []
 
     class Tracker:
+
         def track(self, grey, stamp_ns):
             told.append(grey.shape)
             raise ZeroDivisionError

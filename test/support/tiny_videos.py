@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Small videos for tests, encoded as cameras and editors do, with or without sound and metadata."""
+"""Small videos for tests, encoded as cameras do, with or without sound and metadata."""
 
 from fractions import Fraction
 from struct import pack
