@@ -25,9 +25,9 @@ from sph_stab_ros.recording.pyav import av
 
 LIMITED, FULL = 1, 2
 GREY_FORMAT = 'gray'
-# Y', Cb and Cr in planes of eight bits or of words with more.
-PLANAR_FORMAT = re.compile(r'yuvj?4\d\dp(?:(9|10|12|14|16)le)?')
-# What others are made, without a change of colours, or of range.
+# Y', Cb and Cr, or grey, in planes of eight bits or of words with more.
+PLANAR_FORMAT = re.compile(r'(?:yuvj?4\d\dp|gray)(?:(9|10|12|14|16)le)?')
+# What others are made, without a change of matrix or range.
 OTHER_YUV, OTHER = 'yuv444p', 'bgr24'
 
 
@@ -61,7 +61,7 @@ class VideoPicture:
     @cached_property
     def image(self) -> Image:
         """Return the whole picture, (H, W, 3) uint8 in BGR order, or (H, W) where it is grey."""
-        if self._picture.format.name == GREY_FORMAT:
+        if is_grey(self._picture):
             return self.at_least(0)
         if is_yuv(self._picture):
             picture, bits = self._planar
@@ -73,16 +73,13 @@ class VideoPicture:
 
     def at_least(self, width: int) -> Image:
         """Return the picture in grey, the same whether anybody looks at its colours or not."""
-        if self._picture.format.name == GREY_FORMAT:
-            luma = plane_of(self._picture, 0)
-        elif is_yuv(self._picture):
-            picture, bits = self._planar
-            luma = plane_of(picture, 0, bits)
-            if bits > 8:
-                most = (2 ** bits - 1) / 255 if self._colour.is_full_range else 2 ** (bits - 8)
-                luma = cv2.convertScaleAbs(luma, alpha=1 / most)
-        else:
+        if not is_yuv(self._picture):
             return self.image
+        picture, bits = self._planar
+        luma = plane_of(picture, 0, bits)
+        if bits > 8:
+            most = (2 ** bits - 1) / 255 if self._colour.is_full_range else 2 ** (bits - 8)
+            luma = cv2.convertScaleAbs(luma, alpha=1 / most)
         if not self._colour.is_full_range:
             luma = cv2.LUT(luma, grey_from_luma(False))
         return self._upright(resized(luma, self._square_wh))
@@ -92,13 +89,19 @@ class VideoPicture:
         """Return the picture in planes, and how many bits they have."""
         match = PLANAR_FORMAT.fullmatch(self._picture.format.name)
         if match is None:
-            return self._picture.reformat(format=OTHER_YUV), 8
+            other = GREY_FORMAT if is_grey(self._picture) else OTHER_YUV
+            return self._picture.reformat(format=other), 8
         return self._picture, int(match[1] or 8)
 
 
 def range_tag(colour: Colour) -> int:
     """Return FFmpeg's number of the range of a Colour."""
     return FULL if colour.is_full_range else LIMITED
+
+
+def is_grey(picture: av.VideoFrame) -> bool:
+    """Tell whether pictures have no colours."""
+    return picture.format.name.startswith(GREY_FORMAT)
 
 
 def is_yuv(picture: av.VideoFrame) -> bool:
@@ -120,8 +123,11 @@ def tagged_colour(picture: av.VideoFrame, codec: av.VideoCodecContext) -> Colour
     if not is_yuv(picture):
         return STANDARD
     is_full_range = {LIMITED: False, FULL: True}.get(int(picture.color_range))
-    if is_full_range is None and picture.format.name.startswith('yuvj'):
+    if is_full_range is None and picture.format.name.startswith(('yuvj', GREY_FORMAT)):
+        # FFmpeg's formats of full range.
         is_full_range = True
+    if is_grey(picture):
+        return STANDARD._replace(is_full_range=is_full_range)
     return colour_of((picture.width, picture.height), int(picture.colorspace), is_full_range,
                      int(codec.color_primaries), int(codec.color_trc))
 

@@ -128,6 +128,27 @@ def test_other_codecs_say_themselves_what_they_hold(tmp_path, codec, pix_fmt):
     assert not frame.colour.assumed
 
 
+@pytest.mark.parametrize('pix_fmt, bits', [('gray', 8), ('gray10le', 10), ('gray16le', 16)])
+@pytest.mark.parametrize('value_range', [0, LIMITED, FULL])
+def test_grey_videos_are_grey(tmp_path, pix_fmt, bits, value_range):
+    """Of full range unless they are tagged, as FFmpeg has it; nothing else need be assumed."""
+    levels = np.kron(BGR[..., 1], np.ones((PATCH, PATCH)))
+    steps = levels / 255 * (2 ** bits - 1)
+    if value_range == LIMITED:
+        steps = (levels / 255 * 219 + 16) * 2 ** (bits - 8)
+    plane = np.rint(steps).astype(np.uint8 if bits == 8 else np.uint16)
+    path = videos.encode(tmp_path / 'a.mkv', 3 * [videos.frame_of((plane,), pix_fmt)], 'ffv1',
+                         tags=(2, value_range))
+    frame = next(open_recording(path).frames())
+    assert frame.image.ndim == 2 and not frame.colour.assumed
+    assert np.abs(frame.image - levels).max() <= 1
+    assert np.array_equal(frame.at_least(0), frame.image)
+    assert replay([str(path), str(tmp_path / 'out.mp4')]) == 0
+    again = next(open_recording(tmp_path / 'out.mp4').frames())
+    assert again.colour.is_full_range == (value_range != LIMITED)
+    assert np.abs(again.image.astype(int).mean(axis=2) - levels).mean() < 3
+
+
 @pytest.mark.parametrize('tags', TAGS, ids=str)
 def test_grey_for_tracking_is_the_luma(tmp_path, tags):
     """As cv2 would make it of R'G'B' by the same matrix, whatever was asked for before."""
