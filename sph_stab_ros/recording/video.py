@@ -21,7 +21,7 @@ from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.picture_times import with_times, within
 from sph_stab_ros.recording.pyav import av
-from sph_stab_ros.recording.spherical import cropped_area, layout_of
+from sph_stab_ros.recording.spherical import boxes_say, layout_of
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 from sph_stab_ros.recording.video_picture import side_data_of, tagged_colour, VideoPicture
 from sph_stab_ros.recording.video_stream import PictureStream, Stamped
@@ -45,7 +45,10 @@ class VideoRecording:
         self.path = path
         self.name = path.name
         self._stretch = stretch
-        self._cropped = cropped_area(path)
+        self._cropped, unread = boxes_say(path)
+        if unread:
+            raise RecordingError(
+                f'{path}: its metadata say that the pictures are {unread}, which is not read')
         self._skip_log = SkipLog(self.name)
         with self._open() as container:
             pictures = PictureStream(container, self.name, self._skip_log)

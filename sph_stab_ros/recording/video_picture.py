@@ -127,7 +127,7 @@ def tagged_colour(picture: av.VideoFrame, codec: av.VideoCodecContext) -> Colour
         # FFmpeg's formats of full range.
         is_full_range = True
     if is_grey(picture):
-        return STANDARD._replace(is_full_range=is_full_range)
+        return STANDARD._replace(is_full_range=bool(is_full_range))
     return colour_of((picture.width, picture.height), int(picture.colorspace), is_full_range,
                      int(codec.color_primaries), int(codec.color_trc))
 

@@ -47,10 +47,10 @@ TWO = {
     'half_sphere': halves}
 
 
-def video(path, kind, **options):
+def video(path, kind, sound=None, **options):
     """Write a video of turning spheres as pictures of a kind; return the path."""
     pictures = [videos.bgr_frame(np.ascontiguousarray(TWO[kind](image))) for image in SPHERES]
-    return videos.encode(path, pictures, options={'crf': '10', **options})
+    return videos.encode(path, pictures, options={'crf': '10', **options}, sound=sound)
 
 
 def angles_deg(R_a, R_b):
@@ -81,7 +81,7 @@ V2 = {'vr180': (2, (.25, 0., .25, 0.)), 'top_bottom': (1, ()), 'left_right': (2,
 def test_metadata_of_mp4_files_are_heeded(tmp_path, kind, version):
     """Version 2 in boxes, version 1 in XML."""
     mode, bounds = V2[kind]
-    path = video(tmp_path / 'a.mp4', kind)
+    path = video(tmp_path / 'a.mp4', kind, sound=videos.chirp(0.4))
     if version == 2:
         videos.tagged(path, videos.stereo_box(mode) + videos.sphere_box(*bounds))
     else:
@@ -139,6 +139,8 @@ def test_frame_packing_of_h264_is_heeded(tmp_path, packing, kind, expected):
 
 @pytest.mark.parametrize('boxes, message', [
     (videos.sphere_box(projection=b'cbmp'), 'a cube map, which is not read'),
+    (videos.stereo_box(2) + videos.sphere_box(projection=b'mshp'), 'a mesh, which is not read'),
+    (videos.sphere_box(projection=b'abcd'), "'abcd', which is not read"),
     (videos.sphere_box(.6, 0., .5, 0.), None)])
 def test_what_is_not_read_is_refused_by_name(tmp_path, capsys, boxes, message):
     """In one line; FFmpeg itself refuses what makes no sense."""
