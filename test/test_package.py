@@ -23,6 +23,7 @@ from unittest import mock
 from xml.etree import ElementTree
 
 import pytest
+import sph_stab_ros
 from sph_stab_ros.stabilization.outputs import topics
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -96,6 +97,12 @@ def test_manifest_and_setup_agree(setup_arguments, manifest):
         assert manifest.findtext(key) == setup_arguments[key]
     assert manifest.find('license').get('file') == 'LICENSE'
     assert manifest.findtext('export/build_type') == 'ament_python'
+
+
+def test_one_version_is_named_everywhere(manifest):
+    version = manifest.findtext('version')
+    assert sph_stab_ros.__version__ == version
+    assert f'\nversion: {version}\n' in (ROOT / 'CITATION.cff').read_text()
 
 
 def test_setup_requires_what_is_imported(setup_arguments):
