@@ -46,19 +46,19 @@ def _table(figures: Mapping[str, Figures]) -> Iterator[str]:
     groups = (sum(widths[i:i + 3]) + 4 for i in (1, 4, 7))
     titles = ('mean absolute', 'geodesic', 'per frame')
     yield '  '.join((widths[0] * ' ', *map(str.center, titles, groups))).rstrip()
-    yield from _in_columns(rows)
+    yield from in_columns(rows)
 
 
 def _table_over_time(figures: Mapping[str, Figures]) -> Iterator[str]:
     times_s = next(iter(figures.values()))['over_time']['time_s']
     yield 'geodesic [deg] after'
-    yield from _in_columns([
+    yield from in_columns([
         ('', *(f'{time_s:.0f} s' for time_s in times_s)),
         *((name, *(f'{error:.3f}' for error in one['over_time']['geodesic_deg']))
           for name, one in figures.items())])
 
 
-def _in_columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+def in_columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
     """Yield lines of rows of cells, the first to the left."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     for name, *cells in rows:
