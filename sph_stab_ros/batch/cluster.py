@@ -11,6 +11,7 @@
 from collections.abc import Generator, Sequence
 from dataclasses import asdict
 from functools import partial
+import logging
 from queue import SimpleQueue
 from typing import Any, TYPE_CHECKING
 from uuid import uuid4
@@ -36,6 +37,8 @@ def run_on_cluster(tasks: Sequence[Task], address: str) -> Generator[Event, None
     except ImportError:
         raise RecordingError(
             "--scheduler needs Dask: pip install 'sph_stab_ros[cluster]'") from None
+    # What it says of connections that come and go is no concern of the user's.
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
     events: SimpleQueue[Event] = SimpleQueue()
     topic = f'sph_stab_ros-{uuid4().hex}'
     try:
@@ -43,7 +46,7 @@ def run_on_cluster(tasks: Sequence[Task], address: str) -> Generator[Event, None
     except (OSError, ValueError) as error:
         raise RecordingError(f'no Dask scheduler answers at {address}: {error}') from None
     with client:
-        client.subscribe_topic(topic, lambda event: events.put(_said(event[1])))
+        client.subscribe_topic(topic, lambda event: events.put(_said(*event[1])))
         # The names are for the scheduler's own page.
         futures = [client.submit(run_on_worker, task, topic, key=f'{task.name}-{uuid4().hex}',
                                  pure=False) for task in tasks]
@@ -65,7 +68,8 @@ def run_on_worker(task: Task, topic: str) -> Outcome:
     worker = get_worker()
 
     def say(event: Progress | Again) -> None:
-        worker.log_event(topic, asdict(event))
+        # In a list: to a dictionary Dask would add something.
+        worker.log_event(topic, [asdict(event)])
     return run_task(task, say, Processes())
 
 
@@ -76,7 +80,7 @@ def _said(event: dict[str, Any]) -> Event:
 def _ended(future: 'Future', events: 'SimpleQueue[Event]', task: Task) -> None:
     """Note the end of a task, whatever it was."""
     if future.cancelled():
-        outcome = Outcome(task.name, 'cancelled on the cluster', failed=True)
+        outcome = Outcome(task.name, 'the cluster has lost it', failed=True)
     elif (error := future.exception()) is not None:
         outcome = Outcome(task.name, f'{type(error).__name__}: {str(error).splitlines()[0]}',
                           failed=True)
