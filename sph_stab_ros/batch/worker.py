@@ -162,12 +162,11 @@ def main() -> int:
         # Of the system's errors the next attempt may be free.
         said = {'line': str(error), 'failed': True,
                 'lasting': not isinstance(error.__cause__, OSError)}
-    except (MemoryError, cv2.error) as error:
-        said = {'line': f'{type(error).__name__}: {" ".join(str(error).split())}'
-                        f' (--memory-mb is {task.memory_mb})', 'failed': True}
     except Exception as error:
         # Whatever one recording does to a library must not end the others.
         said = {'line': f'{type(error).__name__}: {" ".join(str(error).split())}', 'failed': True}
+        if isinstance(error, MemoryError) or 'Insufficient memory' in said['line']:
+            said['line'] = f'it needs more memory than {task.memory_mb} MB (--memory-mb)'
     say(channel, **said)
     return 0
 

@@ -8,12 +8,16 @@
 
 """A folder of recordings of all kinds, good and bad, each bad in another way."""
 
+import json
 import os
 from pathlib import Path
+import time
 
 from backports import zstd
 import numpy as np
 from small_bags import image_messages, mcap, rosbag1, sqlite
+from sph_stab_ros.batch.results import FAILURES, manifest_of, PARTIAL
+from sph_stab_ros.geometry.trajectory import read_tum
 from sph_stab_ros.recording.bag_writer import BagWriter
 from sph_stab_ros.stabilization.imu import ImuSample
 from tiny_recordings import START_NS, write_bag, write_imu, write_video
@@ -87,3 +91,39 @@ def inodes(out):
     """Return by name which files results are: one that is made anew is another one."""
     return {path.relative_to(out).as_posix(): (path.stat().st_ino, path.stat().st_mtime_ns)
             for path in Path(out).rglob('*') if path.is_file() and path.parent != out}
+
+
+def workers_of(pid):
+    """Return the processes that a process has started."""
+    found = []
+    for stat in Path('/proc').glob('[0-9]*/stat'):
+        try:
+            fields = stat.read_text().rpartition(')')[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid:
+            found.append(int(stat.parent.name))
+    return found
+
+
+def wait_until_something_is_written(out, process):
+    """Return when a result is begun, but long before it is whole."""
+    while process.poll() is None and not any(out.glob(f'{PARTIAL}/*/*.partial/*')):
+        time.sleep(0.02)
+    assert process.poll() is None
+
+
+def check_results(out, frames_of, table):
+    """Check that all good recordings have whole results, and bad ones reasons in a table."""
+    assert {path.parent.relative_to(out).as_posix()
+            for path in out.rglob('manifest.json')} == set(frames_of)
+    for name, frames in frames_of.items():
+        assert manifest_of(out / name)['frames'] == frames
+        assert len(read_tum(out / name / 'trajectory.tum')) == frames
+        assert (out / name / 'stabilized.mp4').stat().st_size
+    failures = json.loads((out / FAILURES).read_text())
+    assert failures.keys() == BAD.keys()
+    for (name, reason), line in zip(sorted(BAD.items()), table, strict=True):
+        assert reason in failures[name]['reason']
+        assert line.split()[0] == name and reason in line
+    assert not (out / PARTIAL).exists()
