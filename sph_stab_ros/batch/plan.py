@@ -18,7 +18,7 @@ from sph_stab_ros.batch.discovery import Found
 from sph_stab_ros.batch.results import (
     EVALUATION, FAILURES, Identity, identity_of, MANIFEST, manifest_of, read_json, write_json)
 from sph_stab_ros.batch.tasks import Outcome
-from sph_stab_ros.evaluation.report import in_columns
+from sph_stab_ros.command_line.columns import in_columns
 from sph_stab_ros.recording import RecordingError
 
 TO_DO, AGAIN, EVALUATE, DONE, FAILED = 'to do', 'again', 'evaluate', 'done', 'failed'

@@ -9,13 +9,13 @@
 """Tables over all recordings: why some failed, and how the others compare with the truth."""
 
 from collections.abc import Iterator, Mapping, Sequence
-import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sph_stab_ros.batch.results import EVALUATION, manifest_of, read_json, write_json
-from sph_stab_ros.evaluation.report import Figures, in_columns
+from sph_stab_ros.command_line.columns import in_columns
 
 HEAD = ('recording', 'mean', 'max', 'end', 'median', 'p95', 'max', 'frames', 'lost')
 UNITS = ('', *6 * ('deg',), '', '')
@@ -31,7 +31,7 @@ def failure_lines(failures: Mapping[str, str]) -> Iterator[str]:
 def evaluation_lines(out: Path, names: Sequence[str]) -> Iterator[str]:
     """Yield one table over all results that have truth, and write it as JSON."""
     rows: list[tuple[str, ...]] = []
-    table: dict[str, Figures] = {}
+    table: dict[str, dict[str, Any]] = {}
     without, errors = 0, {}
     for name in names:
         figures, manifest = read_json(out / name / EVALUATION), manifest_of(out / name)
@@ -56,4 +56,4 @@ def evaluation_lines(out: Path, names: Sequence[str]) -> Iterator[str]:
     if without:
         yield f'{without} have no truth'
     yield from failure_lines(errors)
-    write_json(out / EVALUATION, json.loads(json.dumps(table)))
+    write_json(out / EVALUATION, table)
