@@ -51,6 +51,7 @@ setup(
         'tqdm>=4.66.2,<5',
     ],
     extras_require={
+        'cluster': ['distributed>=2024.8.0,<2027'],
         'operator': ['aiohttp>=3.9.1,<4'],
         'plots': ['matplotlib>=3.8.0,<4'],
         # What others' methods make of the same pictures, for the benchmark alone.
@@ -96,6 +97,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
+            'batch = sph_stab_ros.batch.__main__:main',
             'benchmark = sph_stab_ros.benchmark.__main__:main',
             'calibrate = sph_stab_ros.calibrate:main',
             'demo = sph_stab_ros.demo:main',

@@ -9,7 +9,7 @@
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cache
 import logging
@@ -30,6 +30,7 @@ from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
+from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording
@@ -49,6 +50,8 @@ logger = logging.getLogger(__name__)
 VIDEO_SUFFIXES = ('.mp4', '.mov')
 # Writes a frame down.
 Sink: TypeAlias = Callable[[StabilizedFrame], Any]
+# Passes on frames, of which so many are expected if that is known, and may tell of it.
+Progress: TypeAlias = Callable[[Iterator[Frame], int | None], Iterable[Frame]]
 
 
 def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
@@ -154,18 +157,11 @@ def smoothing_argument(text: str, flag: str) -> Parameters:
         raise ConfigError(f"'{seconds}' is not a number of seconds") from None
 
 
-def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
-    """Return the parsed command line and the Settings; exit 2 on a usage error."""
-    parser = Parser(prog='replay', description=__doc__)
-    add_recording(parser, 'IN')
+def add_options(parser: Parser) -> None:
+    """Add arguments for how a recording is stabilised, whichever it is."""
     add_imu_topic(parser)
-    parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
-                        help='rosbag2 folder, .mp4 or .mov; nothing is warped without it')
-    parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
-                        help='write "stamp 0 0 0 qx qy qz qw" of each picture')
     parser.add_argument('--side-by-side', action='store_true',
                         help='a video of sphere, front and back view, recorded and stabilised')
-    parser.add_argument('--force', action='store_true', help='replace existing outputs')
     group = add_parameters(
         parser, 'All count as in the node but those of topics and of steering')
     group.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', action=SetParameters,
@@ -180,6 +176,27 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     add_shorthands(group, ('projection', 'layout'))
     add_calibration(group)
     add_shorthands(group, TRACKER_OPTIONS)
+
+
+def given_settings(parser: Parser, args: Namespace) -> Settings:
+    """Return the Settings of a parsed command line; exit 2 on a usage error."""
+    settings = settings_from(parser, given_parameters(parser, args))
+    if args.view and viewed(args.view) not in settings.views:
+        parser.error(f"--view: '{viewed(args.view)}' is none of the views: "
+                     f'{", ".join(settings.views)}')
+    return settings
+
+
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
+    """Return the parsed command line and the Settings; exit 2 on a usage error."""
+    parser = Parser(prog='replay', description=__doc__)
+    add_recording(parser, 'IN')
+    parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
+                        help='rosbag2 folder, .mp4 or .mov; nothing is warped without it')
+    parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
+                        help='write "stamp 0 0 0 qx qy qz qw" of each picture')
+    parser.add_argument('--force', action='store_true', help='replace existing outputs')
+    add_options(parser)
     # OUT may stand behind options too.
     args = parser.parse_intermixed_args(argv)
     if args.out is None and (args.view or args.side_by_side):
@@ -192,42 +209,47 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
     if len(set(paths)) < len(paths):
         parser.error('IN, OUT and --trajectory must be different files')
-    settings = settings_from(parser, given_parameters(parser, args))
-    if args.view and viewed(args.view) not in settings.views:
-        parser.error(f"--view: '{viewed(args.view)}' is none of the views: "
-                     f'{", ".join(settings.views)}')
-    return args, settings
+    return args, given_settings(parser, args)
+
+
+def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Summary, list[str]]:
+    """Do what a parsed command line says; return the Summary, and lines that tell of it."""
+    config = settings.config
+    recording = open_given(args)
+    imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
+           if config.level == IMU else None)
+    total = frames_to_read(recording, args.max_frames)
+    start_s = time.perf_counter()
+    with ExitStack() as stack:
+        sinks: list[Sink] = []
+        if args.trajectory:
+            sinks.append(trajectory_sink(args.trajectory, args.force, stack))
+        if args.out:
+            sinks.append(output_sink(args, settings, recording, stack))
+        summary = stabilize_recording(
+            recording, Stabilizer(config), sinks, args.max_frames,
+            lambda frames: progress(frames, total), imu, pictures=args.out is not None,
+            watch=PictureWatch(config.projection))
+    lines = list(report(summary, config, time.perf_counter() - start_s))
+    if args.out and args.out.suffix and summary.colour and summary.colour.assumed:
+        lines.append(f'colours are taken to be of {summary.colour.assumed}: no tag says so')
+    if imu is not None:
+        lines.append(
+            f'levelled by {imu.samples} samples of {imu.topic}, {imu.refused} left out')
+    return summary, lines
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args, settings = arguments(argv)
-    config = settings.config
 
     def command() -> None:
-        recording = open_given(args)
-        imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
-               if config.level == IMU else None)
-        total = frames_to_read(recording, args.max_frames)
-        start_s = time.perf_counter()
-        with ExitStack() as stack:
-            sinks: list[Sink] = []
-            if args.trajectory:
-                sinks.append(trajectory_sink(args.trajectory, args.force, stack))
-            if args.out:
-                sinks.append(output_sink(args, settings, recording, stack))
-            stack.enter_context(logging_redirect_tqdm())
+        with logging_redirect_tqdm():
             # Shown on terminals only.
-            summary = stabilize_recording(
-                recording, Stabilizer(config), sinks, args.max_frames,
-                lambda frames: tqdm(frames, total=total, unit=' frames', disable=None), imu,
-                pictures=args.out is not None, watch=PictureWatch(config.projection))
-        for line in report(summary, config, time.perf_counter() - start_s):
+            _, lines = replay(args, settings, lambda frames, total: tqdm(
+                frames, total=total, unit=' frames', disable=None))
+        for line in lines:
             print(line)
-        if args.out and args.out.suffix and summary.colour and summary.colour.assumed:
-            print(f'colours are taken to be of {summary.colour.assumed}: no tag says so')
-        if imu is not None:
-            print(f'levelled by {imu.samples} samples of {imu.topic}, {imu.refused} left out')
 
     return run('replay', command)
 

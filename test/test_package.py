@@ -36,6 +36,7 @@ PYTHON_DEPENDENCIES = {
     'av': ('av', None),
     'backports': ('backports.zstd', None),
     'cv2': ('opencv-python-headless', 'python3-opencv'),
+    'distributed': ('distributed', None),
     'lz4': ('lz4', None),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'numpy': ('numpy', 'python3-numpy'),
@@ -47,7 +48,7 @@ PYTHON_DEPENDENCIES = {
     'threadpoolctl': ('threadpoolctl', None),
     'tqdm': ('tqdm', 'python3-tqdm'),
 }
-OPTIONAL_MODULES = {'av', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
+OPTIONAL_MODULES = {'av', 'distributed', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
 # The only modules, and with `ros` all modules below it, that may need ROS to be imported.
 ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in (
     'benchmark.node', 'benchmark.soak', 'demo', 'operator.__main__', 'operator.robot', 'player',
@@ -108,7 +109,8 @@ def test_one_version_is_named_everywhere(manifest):
 def test_setup_requires_what_is_imported(setup_arguments):
     extras = setup_arguments['extras_require']
     requirements = [*setup_arguments['install_requires'],
-                    *extras['operator'], *extras['plots'], *extras['references'], *extras['video']]
+                    *(extra for name in ('cluster', 'operator', 'plots', 'references', 'video')
+                      for extra in extras[name])]
     required = {re.match(r'[\w.-]+', requirement).group() for requirement in requirements}
     used = imported_modules() & PYTHON_DEPENDENCIES.keys()
     assert required == {PYTHON_DEPENDENCIES[module][0] for module in used}

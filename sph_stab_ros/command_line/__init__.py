@@ -34,6 +34,11 @@ def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
     """Add arguments for a recording to read, called ``name``, and for what of it."""
     parser.add_argument('recording', metavar=name, type=Path,
                         help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    add_selection(parser)
+
+
+def add_selection(parser: argparse.ArgumentParser) -> None:
+    """Add arguments for what of a recording to read."""
     parser.add_argument('--image-topic', metavar='TOPIC',
                         help='where the images are in a bag with several image topics')
     parser.add_argument('--start', metavar='SECONDS', type=_seconds, default=0.,
