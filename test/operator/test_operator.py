@@ -201,7 +201,8 @@ def test_no_text_does_more_than_be_refused():
 
 @pytest.mark.parametrize('arguments', [
     ['--port', 'x'], ['--port', '70000'], ['--browsers', '0'], ['--colour', 'red'],
-    ['--token-file', '/nowhere'], ['--key', 'x'], ['--certificate', 'x', '--insecure'], ['--ros-args', '-r', 'x']])
+    ['--token-file', '/nowhere'], ['--key', 'x'], ['--certificate', 'x', '--insecure'],
+    ['--ros-args', '-r', 'x']])
 def test_wrong_calls(arguments, capsys):
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     from sph_stab_ros.operator.__main__ import main

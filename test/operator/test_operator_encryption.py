@@ -19,7 +19,7 @@ import pytest
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 pytest.importorskip('cryptography', reason='cryptography is not installed')
 from cryptography import x509  # noqa: E402, I100
-from operator_site import next_picture, site, TIMEOUT_S  # noqa: E402
+from operator_site import next_picture, site as open_site, TIMEOUT_S  # noqa: E402
 from sph_stab_ros.operator import certificate, listening  # noqa: E402
 from sph_stab_ros.operator.addresses import own_addresses, own_names  # noqa: E402
 from sph_stab_ros.operator.certificate import own_identity  # noqa: E402
@@ -74,7 +74,7 @@ class Wire:
 def test_the_token_is_on_the_wire_only_without_encryption(identity, encrypted):
     async def run():
         tls = context(identity.file) if encrypted else None
-        async with site(token=SECRET, tls=tls) as one:
+        async with open_site(token=SECRET, tls=tls) as one:
             wire = Wire(one.port)
             async with wire.laid() as one.port:
                 one.url = f"http{'s' * encrypted}://localhost:{one.port}"
@@ -92,7 +92,7 @@ def served(identity):
     """Run a test, a coroutine function of a Site with encryption and token."""
     def decorate(test):
         async def run():
-            async with site(token=SECRET, tls=context(identity.file)) as one:
+            async with open_site(token=SECRET, tls=context(identity.file)) as one:
                 one.url, one.trusted = f'https://localhost:{one.port}', trusting(identity)
                 await asyncio.wait_for(test(one), TIMEOUT_S)
         asyncio.run(run())
