@@ -62,14 +62,14 @@ function showModes(modes, mode, steering) {
   }
 }
 
-// Shows for a while what came of a request.
+// Shows for a while what came of a request. The box is always there, if empty: what appears with
+// its text is not read out.
 export function showNotice(text, ok = true) {
   const box = $('notice');
   box.textContent = text;
   box.classList.toggle('refusal', !ok);
-  box.classList.remove('hidden');
   clearTimeout(noticeTimer);
-  noticeTimer = setTimeout(() => box.classList.add('hidden'), NOTICE_MS);
+  noticeTimer = setTimeout(() => { box.textContent = ''; }, NOTICE_MS);
 }
 
 // Shows whether the picture can be steered by, and since when not.
