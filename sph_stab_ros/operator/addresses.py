@@ -11,11 +11,14 @@
 from fcntl import ioctl
 from ipaddress import ip_address, IPv4Address, IPv6Address
 from pathlib import Path
+import re
 import socket
 from struct import pack
 from typing import TypeAlias
 
 IpAddress: TypeAlias = IPv4Address | IPv6Address
+# Of the domain name system; underscores are common, if against the rules.
+NAME = r'[a-z0-9_]([a-z0-9_.-]*[a-z0-9_])?'
 
 # Of Linux: the request for an interface's address, and where its answer has it.
 SIOCGIFADDR = 0x8915
@@ -37,7 +40,12 @@ def own_address() -> str:
 def own_names() -> set[str]:
     """Return the names of this machine; the one in .local is what mDNS gives it."""
     name = socket.gethostname().lower()
-    return {'localhost', name, f"{name.split('.')[0]}.local"}
+    return {'localhost', *({name, f"{name.split('.')[0]}.local"} if is_name(name) else ())}
+
+
+def is_name(host: str) -> bool:
+    """Tell whether a host is a name that a certificate can hold, not an address."""
+    return bool(re.fullmatch(NAME, host.lower())) and not re.fullmatch(r'[\d.]*', host)
 
 
 def own_addresses() -> set[IpAddress]:

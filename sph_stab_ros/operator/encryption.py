@@ -15,7 +15,7 @@ from pathlib import Path
 import ssl
 
 from sph_stab_ros.operator.access import is_loopback
-from sph_stab_ros.operator.addresses import own_addresses, own_names
+from sph_stab_ros.operator.addresses import is_name, own_addresses, own_names
 
 # What phones fetch, to trust this machine from then on.
 AUTHORITY_FILE, AUTHORITY_TYPE = 'authority.crt', 'application/x-x509-ca-cert'
@@ -43,7 +43,8 @@ def encryption(args: Namespace) -> Encryption | None:
         return None
     # An optional dependency, missing with a line of its own.
     from sph_stab_ros.operator.certificate import own_identity
-    identity = own_identity(data_folder(), own_names(), own_addresses())
+    names = own_names() | ({args.host.lower()} if is_name(args.host) else set())
+    identity = own_identity(data_folder(), names, own_addresses())
     return Encryption(context(identity.file), identity.fingerprint, identity.authority_pem,
                       identity.authority_fingerprint)
 

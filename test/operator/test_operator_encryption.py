@@ -21,7 +21,7 @@ pytest.importorskip('cryptography', reason='cryptography is not installed')
 from cryptography import x509  # noqa: E402, I100
 from operator_site import next_picture, site as open_site, TIMEOUT_S  # noqa: E402
 from sph_stab_ros.operator import certificate, listening  # noqa: E402
-from sph_stab_ros.operator.addresses import own_addresses, own_names  # noqa: E402
+from sph_stab_ros.operator.addresses import is_name, own_addresses, own_names  # noqa: E402
 from sph_stab_ros.operator.certificate import own_identity  # noqa: E402
 from sph_stab_ros.operator.encryption import context  # noqa: E402
 
@@ -245,6 +245,14 @@ def test_damaged_files_are_made_anew(tmp_path, file, content):
     path.write_bytes(path.read_bytes()[:200] if content is None else content)
     again = own_identity(tmp_path, NAMES, ADDRESSES)
     assert handshake(again, trusting(again), 'localhost') is None
+
+
+@pytest.mark.parametrize('host, name', [
+    ('robot.local', True), ('Robot_7', True), ('r', True), ('3d-printer', True), ('', False),
+    ('0.0.0.0', False), ('192.168.0.1', False), ('::1', False), ('(none)', False),
+    ('röbot', False), ('-robot', False)])
+def test_names_are_told_from_addresses(host, name):
+    assert is_name(host) == name
 
 
 def test_this_machine_s_names_and_addresses():

@@ -182,6 +182,19 @@ def test_no_more_pixels_are_drawn_than_the_picture_has(served, page):
         page.page.keyboard.press('-')
 
 
+@pytest.mark.parametrize('encrypted, secure, advised', [
+    (True, True, False), (False, True, False), (False, False, True)])
+def test_what_the_link_is_made_of_is_said(page, encrypted, secure, advised):
+    text = page.page.evaluate('async link => (await import("/panels.js")).linkText(link)', {
+        'encrypted': encrypted, 'secure': secure, 'slow': True})
+    assert 'JPEG by ' + ('https' if encrypted else 'http,') in text and 'the processor' in text
+    assert ('By https' in text) == advised
+    # This page's, at loopback.
+    page.page.keyboard.press('?')
+    assert 'JPEG by http,' in page.page.inner_text('#link')
+    page.page.keyboard.press('Escape')
+
+
 def test_landmarks(page):
     for role in ('banner', 'main', 'navigation'):
         assert page.page.get_by_role(role).count() == 1

@@ -6,7 +6,7 @@
 import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
-import {$, showNotice, showSituation, showState} from './panels.js';
+import {$, linkText, showNotice, showSituation, showState} from './panels.js';
 import {rendererFor} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
 
@@ -219,6 +219,8 @@ const look = new Look(canvas, looked, id => actions[id]());
 let connection;
 try {
   renderer = rendererFor(canvas);
+  $('link').textContent = linkText({encrypted: location.protocol === 'https:',
+                                    secure: isSecureContext, slow: renderer.slow});
   connection = new Connection({
     picture: takePicture,
     state: takeState,

@@ -72,6 +72,15 @@ export function showNotice(text, ok = true) {
   noticeTimer = setTimeout(() => { box.textContent = ''; }, NOTICE_MS);
 }
 
+// Returns what the pictures come by, and what would be better; secure is that of the browser, which
+// takes a page of the same machine for secure.
+export function linkText({encrypted, secure, slow}) {
+  const used = `Pictures come as JPEG by ${encrypted ? 'https' : 'http'}, and are drawn by `
+    + `${slow ? 'the processor' : 'the graphics card'}.`;
+  return encrypted || secure ? used : `${used} By https nobody on the way could see them, and many `
+    + 'browsers would decode them in half the time and take gamepads.';
+}
+
 // Shows whether the picture can be steered by, and since when not.
 export function showSituation(state) {
   const now = situation({...state, now: performance.now()});
