@@ -52,7 +52,7 @@ setup(
     ],
     extras_require={
         'cluster': ['distributed>=2024.8.0,<2027'],
-        'operator': ['aiohttp>=3.9.1,<4'],
+        'operator': ['aiohttp>=3.9.1,<4', 'cryptography>=41.0.7,<51'],
         'plots': ['matplotlib>=3.8.0,<4'],
         # What others' methods make of the same pictures, for the benchmark alone.
         'references': ['poselib>=2.0.5,<3', 'pycolmap>=4.1.0,<5'],

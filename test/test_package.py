@@ -35,6 +35,7 @@ PYTHON_DEPENDENCIES = {
     'aiohttp': ('aiohttp', 'python3-aiohttp'),
     'av': ('av', None),
     'backports': ('backports.zstd', None),
+    'cryptography': ('cryptography', 'python3-cryptography'),
     'cv2': ('opencv-python-headless', 'python3-opencv'),
     'distributed': ('distributed', None),
     'lz4': ('lz4', None),
@@ -164,7 +165,8 @@ sys.meta_path.insert(0, Missing())
 runpy.run_module(program, run_name='__main__', alter_sys=True)
 """
 # Of recordings, tables, plots and the page.
-NOT_FOR_THE_NODE = {'aiohttp', 'av', 'lz4', 'matplotlib', 'rosbags', 'ruamel', 'tqdm'}
+NOT_FOR_THE_NODE = {
+    'aiohttp', 'av', 'cryptography', 'lz4', 'matplotlib', 'rosbags', 'ruamel', 'tqdm'}
 
 
 def without_modules(missing, program, *arguments):

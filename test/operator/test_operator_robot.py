@@ -12,9 +12,7 @@ import asyncio
 from contextlib import asynccontextmanager
 import json
 import os
-import re
 import signal
-import socket
 from struct import unpack_from
 import subprocess
 import sys
@@ -199,37 +197,3 @@ def test_parameters_that_are_the_stabilizer_s_are_told_of():
         errors = server.communicate(timeout=TIMEOUT_S)[1]
     assert ("operator: there is no parameter 'level', 'mask' here; "
             'those of the stabilizer are set at that node\n') in errors
-
-
-def test_the_port_is_taken():
-    with socket.socket() as other:
-        other.bind(('127.0.0.1', 0))
-        other.listen()
-        port = other.getsockname()[1]
-        server = operator('--port', str(port))
-        output, errors = server.communicate(timeout=TIMEOUT_S)
-    assert server.returncode == 1
-    assert not output
-    assert re.fullmatch(r'operator: cannot listen on 127\.0\.0\.1: .+\n', errors), errors
-
-
-def test_the_network_needs_the_token_that_is_printed():
-    server = operator('--host', '0.0.0.0', '--port', '0')
-    try:
-        url = server.stdout.readline().split()[-1]
-        port, token = re.fullmatch(r'http://[^/]+:(\d+)/\?token=([\w-]{20,})', url).groups()
-
-        async def statuses():
-            async with aiohttp.ClientSession() as session:
-                for query in ('', '?token=' + token):
-                    async with session.get(f'http://127.0.0.1:{port}/{query}') as answer:
-                        yield answer.status
-
-        async def collected():
-            return [status async for status in statuses()]
-
-        assert asyncio.run(collected()) == [403, 200]
-    finally:
-        server.send_signal(signal.SIGTERM)
-        assert server.wait(TIMEOUT_S) == 0
-    assert token not in server.stderr.read()

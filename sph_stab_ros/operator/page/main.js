@@ -6,15 +6,14 @@
 import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
-import {$, showNotice, showSituation, showState} from './panels.js';
+import {$, linkText, showNotice, showSituation, showState} from './panels.js';
 import {rendererFor} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
 
 const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
 const SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
 const MAX_PIXEL_RATIO = 2;
-// Without a graphics card, fewer pixels sooner rather than all of them later: 640 columns show
-// 100° of a picture of 2048 without loss.
+// Without a graphics card, fewer pixels sooner rather than all of them later.
 const SLOW_SHARE = 0.5;
 const NO_CONTROL = {
   none: 'No connection.',
@@ -30,7 +29,7 @@ const state = {
   // Times are those of performance.now().
   connectedAt: performance.now(), reason: '', failure: '',
   // The picture on display, when it came, and whether it had an orientation.
-  pictureAt: null, stabilized: true, derotated: false,
+  pictureAt: null, stabilized: true, derotated: false, columns: Infinity,
   R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
   raw: false,
   // Whether the operator has chosen where to look.
@@ -55,6 +54,7 @@ function draw() {
   const picture = waiting;
   waiting = null;
   if (picture) {
+    state.columns = picture.image.width;
     renderer.load(picture.image);
     // Without an orientation the last one has to do.
     Object.assign(state, picture.orientation);
@@ -62,6 +62,7 @@ function draw() {
     state.derotated = picture.derotated;
     state.pictureAt = performance.now();
   }
+  fit();
   const R_virtual_view = fromYawPitch(look.yaw, look.pitch);
   const R_world_view = multiply(state.raw ? state.R_world_camera : state.R_world_virtual,
                                 R_virtual_view);
@@ -92,7 +93,7 @@ function takePicture(picture) {
     state.failure = image ? `The camera's picture, ${image.width}×${image.height}, is no ` +
       'sphere: start the operator with --pictures stabilizer.' : 'A broken picture has come.';
     image?.close();
-    connection.send('drawn', {sequence});
+    connection.send('skipped', {sequence});
     return;
   }
   state.failure = '';
@@ -101,11 +102,24 @@ function takePicture(picture) {
   requestDraw();
 }
 
-function resize() {
-  const ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO) * (renderer?.slow ? SLOW_SHARE : 1);
-  canvas.width = Math.round(canvas.clientWidth * ratio);
-  canvas.height = Math.round(canvas.clientHeight * ratio);
-  requestDraw();
+// Gives the canvas as many pixels as the window has; where they are slow, no more than the picture
+// has in view.
+function fit() {
+  const {clientWidth, clientHeight} = canvas;
+  const longer = Math.max(clientWidth, clientHeight);
+  let ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO);
+  if (renderer.slow) {
+    ratio = Math.min(SLOW_SHARE * ratio, columnsInView() / longer);
+  }
+  const width = Math.round(clientWidth * ratio), height = Math.round(clientHeight * ratio);
+  // Also the same numbers would clear it.
+  if (width !== canvas.width) canvas.width = width;
+  if (height !== canvas.height) canvas.height = height;
+}
+
+// Where they are fewest, in the middle of the view.
+function columnsInView() {
+  return state.columns * Math.tan(look.fov / 2) / Math.PI;
 }
 
 // Looking.
@@ -129,6 +143,9 @@ function sendLook() {
 
 function takeState(told) {
   const taken = told.control === 'yours' && state.control !== 'yours';
+  if (told.control === 'taken' && state.control === 'yours') {
+    showNotice('Another operator has taken control.', false);
+  }
   Object.assign(state, told);
   if (taken && state.moved) sendLook();
   showState(state);
@@ -202,6 +219,8 @@ const look = new Look(canvas, looked, id => actions[id]());
 let connection;
 try {
   renderer = rendererFor(canvas);
+  $('link').textContent = linkText({encrypted: location.protocol === 'https:',
+                                    secure: isSecureContext, slow: renderer.slow});
   connection = new Connection({
     picture: takePicture,
     state: takeState,
@@ -240,4 +259,4 @@ document.addEventListener('fullscreenchange', () =>
   $('full').setAttribute('aria-pressed', Boolean(document.fullscreenElement)));
 setInterval(showInstruments, INSTRUMENT_PERIOD_MS);
 setInterval(() => [tape, dial].forEach(one => one.describe()), DESCRIPTION_PERIOD_MS);
-new ResizeObserver(resize).observe(canvas);
+new ResizeObserver(requestDraw).observe(canvas);
