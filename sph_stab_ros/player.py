@@ -15,9 +15,7 @@ a package that is not installed. Ends with status 0 on SIGINT and SIGTERM.
 """
 
 from argparse import Namespace
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import is_dataclass
 from functools import partial
 from heapq import merge
 from pathlib import Path
@@ -42,10 +40,12 @@ from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
-from sph_stab_ros.config import NodeConfig, Settings
+from sph_stab_ros.config import AUTO, NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
+from sph_stab_ros.images.picture_watch import PictureWatch
+from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
@@ -92,6 +92,7 @@ class Player:
         self._node = node
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
+        self._watch = PictureWatch(config.projection)
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
         recorded = recording.topics[topic] if topic else ''
@@ -101,7 +102,7 @@ class Player:
         else:
             images_type = COMPRESSED_IMAGE if compress else IMAGE
             self._sources.append(partial(
-                frame_messages, recording, message_type(images_type), config.jpeg_quality))
+                frame_messages, recording, message_type(images_type), config))
         ending, = (ending for ending, name in TRANSPORTS.values() if name == images_type)
         self.images = node.create_publisher(message_type(images_type), f'image{ending}', QOS)
         self._publishers = [self.images]
@@ -145,6 +146,8 @@ class Player:
                 elif loop_start_ns:
                     # A stamp of zero means unknown and stays that.
                     restamp(msg, lambda ns: ns and ns + loop_start_ns)
+                if publisher is self.images and (hint := self._watch.look(msg)):
+                    self._node.get_logger().warning(hint)
                 publisher.publish(msg)
             if not loop or is_empty:
                 break
@@ -180,15 +183,18 @@ def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
     """Yield (time of receipt in ns, rclpy message) of a bag's topic, faulty images included."""
     message = message_type(recording.topics[topic])
     for received_ns, recorded in recording.messages(topic):
-        yield received_ns, copy_fields(recorded, message())
+        yield received_ns, ros_messages.copy_fields(recorded, message())
 
 
-def frame_messages(recording: Recording, images_type: type[Any],
-                   jpeg_quality: int) -> TimedMessages:
+def frame_messages(recording: Recording, images_type: type[Any], config: NodeConfig
+                   ) -> TimedMessages:
     """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
     for frame in recording.frames():
+        if config.layout == AUTO:
+            # What a video's metadata say has no place in a message.
+            frame = as_sphere(frame, config)
         msg = (fill_image(Image(), frame.image) if images_type is Image
-               else fill_compressed(CompressedImage(), frame.image, jpeg_quality))
+               else fill_compressed(CompressedImage(), frame.image, config.jpeg_quality))
         msg.header.stamp = time_message(frame.stamp_ns)
         msg.header.frame_id = frame.frame_id or CAMERA_FRAME
         yield frame.time_ns, msg
@@ -200,20 +206,6 @@ def message_type(name: str) -> type[Any]:
         return ros_messages.message_type(name)
     except ImportError:
         raise RecordingError(f'{name} is not installed') from None
-
-
-def copy_fields(source: Any, target: Any) -> Any:
-    """Fill a fresh rclpy message from one of the bag reader, and return it."""
-    for name in target.get_fields_and_field_types():
-        value = getattr(source, name)
-        if is_dataclass(value):
-            copy_fields(value, getattr(target, name))
-        elif isinstance(getattr(target, name), array):
-            # Assigning checks each element, which takes seconds for an image.
-            getattr(target, name).frombytes(value.tobytes())
-        else:
-            setattr(target, name, value)
-    return target
 
 
 def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:
@@ -244,7 +236,7 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
     group = add_parameters(
-        parser, 'image_transport and jpeg_quality count, so that the node gets what it wants')
+        parser, 'image_transport, jpeg_quality and projection count: the node gets what it wants')
     group.add_argument('--compressed', action=SetParameters, nargs=0,
                        read=lambda _, flag: {'image_transport': (flag, 'compressed')},
                        help='publish JPEG on image/compressed also where images are raw')

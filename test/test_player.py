@@ -35,7 +35,8 @@ from rclpy.context import Context  # noqa: E402, I100
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402, I100
 from rclpy.serialization import serialize_message  # noqa: E402, I100
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402, I100
-from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
+from sph_stab_ros.player import message_type  # noqa: E402
+from sph_stab_ros.ros.messages import copy_fields  # noqa: E402
 
 pytestmark = pytest.mark.ros
 IMAGE = textured_sphere()

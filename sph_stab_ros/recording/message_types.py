@@ -22,7 +22,7 @@ else:
 
 from sph_stab_ros.recording.containers.kinds import ZSTD
 from sph_stab_ros.recording.messages import (
-    COMPRESSED_IMAGE, COMPRESSED_VIDEO, FFMPEG_PACKET, IMAGE)
+    COMPRESSED_IMAGE, COMPRESSED_VIDEO, FFMPEG_PACKET, IMAGE, TRANSFORMS)
 
 IMAGE_TYPES = (IMAGE, COMPRESSED_IMAGE, FFMPEG_PACKET, COMPRESSED_VIDEO)
 # How the messages in a channel are encoded: the definitions of types, and what decodes by them.
@@ -56,6 +56,8 @@ string frame_id
 uint8[] data
 string format
 """
+# Of a standard type that rosbags' Noetic lacks.
+TRANSFORMS_ROS1 = 'geometry_msgs/TransformStamped[] transforms'
 
 
 @cache
@@ -68,6 +70,8 @@ def types_of(store: Stores) -> Typestore:
     for name, text in zip((FFMPEG_PACKET, OTHER_FFMPEG_PACKET, COMPRESSED_VIDEO),
                           (*packets, COMPRESSED_VIDEO_OF_FOXGLOVE)):
         types.register(get_types_from_msg(text, name))
+    if TRANSFORMS not in types.types:
+        types.register(get_types_from_msg(TRANSFORMS_ROS1, TRANSFORMS))
     return types
 
 

@@ -157,8 +157,8 @@ class StabilizerNode(Node):
     def _on_look_at_home(
             self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._outputs.look_home()
-        message = "all views look at the stabilized frame's front"
-        return Trigger.Response(success=True, message=message)
+        return Trigger.Response(
+            success=True, message="all views look at the stabilized frame's front")
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -205,6 +205,7 @@ class StabilizerNode(Node):
             frame = image.frame(times)
             if self._outputs.pictures_wanted:
                 frame.load()
+            self._diagnostics.look_at(frame, self._settings.config.projection)
         with cpu.stage('imu'):
             self._imu.collect()
         with cpu.stage('track'):
@@ -262,8 +263,7 @@ def run(args: list[str] | None = None) -> int:
     except RuntimeError as error:
         print(f'stabilizer: cannot start: {error}', file=sys.stderr)
         return 2
-    # Two workers share the interpreter: each call that gives it away would wait for the other's
-    # turn of 5 ms.
+    # Two workers share the interpreter: each call that gives it away would wait 5 ms for another.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     # And the cores.
     cv2.setNumThreads(max((os.cpu_count() or 2) // 2, 1))

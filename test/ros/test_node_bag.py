@@ -22,7 +22,8 @@ rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import DOMAINS  # noqa: E402, I100
 from rclpy.publisher import Publisher  # noqa: E402
 from sensor_msgs.msg import CompressedImage  # noqa: E402
-from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
+from sph_stab_ros.player import message_type  # noqa: E402
+from sph_stab_ros.ros.messages import copy_fields  # noqa: E402
 from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
 
 ARGUMENTS = [
