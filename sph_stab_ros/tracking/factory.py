@@ -54,7 +54,7 @@ def make_tracker(
     """
     used = common(load_mask(config.mask, width), seen)
     if config.estimator == ANCHORED:
-        return AnchoredTracker(width, used, config.max_prediction_s, gyro_rotation, anchored)
+        return AnchoredTracker(used, config.max_prediction_s, gyro_rotation, anchored)
     bound_deg = config.epipolar_bound_deg
     return FrameToFrameTracker(
         config.estimator, used, config.max_prediction_s, gyro_rotation,

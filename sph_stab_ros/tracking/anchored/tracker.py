@@ -44,8 +44,6 @@ class AnchoredTracker:
 
     Parameters
     ----------
-    width : int
-        Of the grey spheres.
     used : (H, W) bool, optional
         Pixels to use.
     max_prediction_s : float
@@ -56,7 +54,7 @@ class AnchoredTracker:
 
     """
 
-    def __init__(self, width: int, used: Mask | None = None, max_prediction_s: float = 0.5,
+    def __init__(self, used: Mask | None = None, max_prediction_s: float = 0.5,
                  gyro_rotation: GyroRotation = no_gyro,
                  options: AnchoredOptions = AnchoredOptions()) -> None:
         self._options, self._used = options, used
