@@ -10,7 +10,7 @@ const FULL = 1013, REFUSED = 1008;
 
 export class Connection {
   // handlers: picture({sequence, stamp_ns, orientation, image}), state(…), notice(…),
-  // open(), closed(reason).
+  // open(), closed(reason), and maxColumns(), that the image may have.
   constructor(handlers) {
     this.handlers = handlers;
     this.retryMs = FIRST_RETRY_MS;
@@ -30,7 +30,7 @@ export class Connection {
     const socket = this.socket = new WebSocket(url);
     const decoder = new PictureDecoder(picture => {
       if (socket === this.socket) this.handlers.picture(picture);
-    });
+    }, this.handlers.maxColumns);
     socket.binaryType = 'arraybuffer';
     socket.onopen = () => this.handlers.open();
     socket.onmessage = ({data}) => {
@@ -53,8 +53,8 @@ export class Connection {
 
 // Decodes one picture at a time; of those that come meanwhile only the newest counts.
 class PictureDecoder {
-  constructor(done) {
-    this.done = done;
+  constructor(done, maxColumns) {
+    Object.assign(this, {done, maxColumns});
     this.next = null;
     this.busy = false;
   }
@@ -67,7 +67,7 @@ class PictureDecoder {
       const [header, file] = parsed(this.next);
       this.next = null;
       // A broken file is a picture without an image.
-      const image = await decode(file).catch(() => null);
+      const image = await decode(file, this.maxColumns()).catch(() => null);
       this.done({...header, image});
     }
     this.busy = false;

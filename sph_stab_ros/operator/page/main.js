@@ -7,7 +7,7 @@ import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
 import {$, showNotice, showSituation, showState} from './panels.js';
-import {rendererFor} from './renderer.js';
+import {Renderer} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
 
 const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
@@ -24,7 +24,7 @@ const NO_CONTROL = {
 // What the server tells, as long as it tells nothing.
 const UNTOLD = {control: 'none', robot: null, rate_hz: null, latency_ms: null, wantedMode: null};
 
-const canvas = $('picture');
+const place = $('picture');
 const state = {
   ...UNTOLD,
   // Times are those of performance.now().
@@ -33,6 +33,8 @@ const state = {
   pictureAt: null, stabilized: true, derotated: false,
   R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
   raw: false,
+  // Whether the processor draws.
+  slow: false,
   // Whether the operator has chosen where to look.
   moved: false,
   // The angles on the instruments.
@@ -47,7 +49,11 @@ function requestDraw() {
   drawRequested = true;
   requestAnimationFrame(() => {
     drawRequested = false;
-    draw();
+    try {
+      draw();
+    } catch (error) {
+      Object.assign(state, {failure: error.message, pictureAt: null});
+    }
   });
 }
 
@@ -60,15 +66,18 @@ function draw() {
     Object.assign(state, picture.orientation);
     state.stabilized = picture.orientation !== null;
     state.derotated = picture.derotated;
-    state.pictureAt = performance.now();
   }
   const R_virtual_view = fromYawPitch(look.yaw, look.pitch);
   const R_world_view = multiply(state.raw ? state.R_world_camera : state.R_world_virtual,
                                 R_virtual_view);
   const R_world_picture = state.derotated ? state.R_world_virtual : state.R_world_camera;
-  renderer.draw(matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
+  const shown = renderer.draw(
+    matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
   if (picture) {
-    canvas.dataset.stampNs = picture.stamp_ns;
+    if (shown) {
+      Object.assign(state, {failure: '', pictureAt: performance.now()});
+      place.dataset.stampNs = picture.stamp_ns;
+    }
     connection.send('drawn', {sequence: picture.sequence});
   }
 }
@@ -95,7 +104,6 @@ function takePicture(picture) {
     connection.send('drawn', {sequence});
     return;
   }
-  state.failure = '';
   waiting?.image.close();
   waiting = picture;
   requestDraw();
@@ -103,9 +111,16 @@ function takePicture(picture) {
 
 function resize() {
   const ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO) * (renderer?.slow ? SLOW_SHARE : 1);
-  canvas.width = Math.round(canvas.clientWidth * ratio);
-  canvas.height = Math.round(canvas.clientHeight * ratio);
+  renderer?.resize(Math.round(place.clientWidth * ratio), Math.round(place.clientHeight * ratio));
   requestDraw();
+}
+
+// What is on the screen is gone, and what comes is drawn otherwise.
+function takeFallBack(reason) {
+  Object.assign(state, {slow: true, pictureAt: null});
+  showState(state);
+  showNotice(`${reason} The processor draws now.`, false);
+  resize();
 }
 
 // Looking.
@@ -164,7 +179,7 @@ function nextMode() {
 function takeControl() {
   if (!connection.send('take_control')) showNotice(NO_CONTROL.none, false);
   state.moved = true;
-  canvas.focus();
+  place.focus();
 }
 
 function toggleRaw() {
@@ -198,11 +213,13 @@ const keyActions = {
 
 const tape = new HeadingTape($('tape'));
 const dial = new AttitudeDial($('attitude'));
-const look = new Look(canvas, looked, id => actions[id]());
+const look = new Look(place, looked, id => actions[id]());
 let connection;
 try {
-  renderer = rendererFor(canvas);
+  renderer = new Renderer(place, takeFallBack);
+  state.slow = renderer.slow;
   connection = new Connection({
+    maxColumns: () => renderer.maxColumns,
     picture: takePicture,
     state: takeState,
     notice: takeNotice,
@@ -232,7 +249,7 @@ addEventListener('keydown', event => {
 $('modes').addEventListener('change', ({target}) => {
   setMode(target.value);
   // After a click arrow keys look around again; those who came by keyboard go on choosing.
-  if (!target.matches(':focus-visible')) canvas.focus();
+  if (!target.matches(':focus-visible')) place.focus();
 });
 // Some telephones have none.
 $('full').hidden = !document.fullscreenEnabled;
@@ -240,4 +257,4 @@ document.addEventListener('fullscreenchange', () =>
   $('full').setAttribute('aria-pressed', Boolean(document.fullscreenElement)));
 setInterval(showInstruments, INSTRUMENT_PERIOD_MS);
 setInterval(() => [tape, dial].forEach(one => one.describe()), DESCRIPTION_PERIOD_MS);
-new ResizeObserver(resize).observe(canvas);
+new ResizeObserver(resize).observe(place);
