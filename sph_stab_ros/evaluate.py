@@ -21,13 +21,14 @@ import sys
 from typing import TypeAlias
 
 import numpy as np
-from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line import (
+    add_imu_topic, add_recording, check_stretch, frames_to_read, open_given, Parser, run)
 from sph_stab_ros.command_line.arguments import names_argument, output_argument
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, refuse_bad_mask,
     settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import (
-    ANCHORED, EQUIRECT, FLOWS, IMU, METHODS, MIN_WIDTH, StabilizerConfig)
+    ANCHORED, AUTO, EQUIRECT, FLOWS, IMU, METHODS, MIN_WIDTH, StabilizerConfig)
 from sph_stab_ros.evaluation import report
 from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
 from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
@@ -40,7 +41,7 @@ from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
-from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic
 
@@ -63,7 +64,7 @@ Evaluation: TypeAlias = tuple[Figures, dict[str, Errors], dict[str, Figures]]
 
 def evaluate(args: Namespace, configs: Configs) -> None:
     """Do what the command line says."""
-    recording = open_recording(args.recording, args.image_topic)
+    recording = open_given(args)
     config = next(iter(configs.values()))
     watch = PictureWatch(config.projection)
     spheres = Stitched(recording, config, watch)
@@ -129,7 +130,9 @@ def by_injection(args: Namespace, spheres: Stitched, configs: Configs, frames: i
         raise EvaluationError('--inject needs two frames or more'
                               if frames else 'unknown length, add --max-frames N')
     mask = next(iter(configs.values())).tracker.mask
-    configs = {name: replace(config, projection=EQUIRECT) for name, config in configs.items()}
+    # What they are is the Stitched frames' own.
+    configs = {name: replace(config, projection=EQUIRECT, layout=AUTO)
+               for name, config in configs.items()}
     errors, figures = evaluate_injected(
         spheres, configs, args.inject, frames, args.body, progress)
     about = {'injected_seed': args.inject, 'body': args.body, 'mask': mask}
@@ -226,7 +229,7 @@ def command_line() -> Parser:
                         help='draw figures into a folder')
     add_imu_topic(parser)
     group = add_parameters(parser, 'Those of estimator, projection, level and IMU count')
-    add_shorthands(group, ('projection',))
+    add_shorthands(group, ('projection', 'layout'))
     add_calibration(group)
     add_shorthands(group, (name for name in TRACKER_OPTIONS if name not in ('estimator', 'flow')))
     return parser
@@ -236,6 +239,7 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
     parser = command_line()
     args = parser.parse_args(argv)
+    check_stretch(parser, args)
     parameters = given_parameters(parser, args)
     config = settings_from(parser, parameters).config
     # Written so that NaN fails.

@@ -40,11 +40,12 @@ from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
-from sph_stab_ros.config import NodeConfig, Settings
+from sph_stab_ros.config import AUTO, NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.images.picture_watch import PictureWatch
+from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
@@ -101,7 +102,7 @@ class Player:
         else:
             images_type = COMPRESSED_IMAGE if compress else IMAGE
             self._sources.append(partial(
-                frame_messages, recording, message_type(images_type), config.jpeg_quality))
+                frame_messages, recording, message_type(images_type), config))
         ending, = (ending for ending, name in TRANSPORTS.values() if name == images_type)
         self.images = node.create_publisher(message_type(images_type), f'image{ending}', QOS)
         self._publishers = [self.images]
@@ -185,12 +186,15 @@ def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
         yield received_ns, ros_messages.copy_fields(recorded, message())
 
 
-def frame_messages(recording: Recording, images_type: type[Any],
-                   jpeg_quality: int) -> TimedMessages:
+def frame_messages(recording: Recording, images_type: type[Any], config: NodeConfig
+                   ) -> TimedMessages:
     """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
     for frame in recording.frames():
+        if config.layout == AUTO:
+            # What a video's metadata say has no place in a message.
+            frame = as_sphere(frame, config)
         msg = (fill_image(Image(), frame.image) if images_type is Image
-               else fill_compressed(CompressedImage(), frame.image, jpeg_quality))
+               else fill_compressed(CompressedImage(), frame.image, config.jpeg_quality))
         msg.header.stamp = time_message(frame.stamp_ns)
         msg.header.frame_id = frame.frame_id or CAMERA_FRAME
         yield frame.time_ns, msg

@@ -21,7 +21,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line import (
+    add_imu_topic, add_recording, check_stretch, frames_to_read, is_cut, open_given, Parser, run)
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
@@ -31,7 +32,7 @@ from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
-from sph_stab_ros.recording import open_recording
+from sph_stab_ros.recording import Recording
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
@@ -45,6 +46,7 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 logger = logging.getLogger(__name__)
 
+VIDEO_SUFFIXES = ('.mp4', '.mov')
 # Writes a frame down.
 Sink: TypeAlias = Callable[[StabilizedFrame], Any]
 
@@ -55,12 +57,16 @@ def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
     return lambda s: file.write(tum_line(s.stamp_ns, s.R_world_camera))
 
 
-def video_sink(path: Path, force: bool, stack: ExitStack,
-               picture: Callable[[StabilizedFrame], Image]) -> Sink:
-    """Return a sink that writes ``picture(stabilized)`` into an MP4 file."""
+def video_sink(args: Namespace, recording: Recording, stack: ExitStack,
+               picture: Callable[[StabilizedFrame], Image], spheres: bool) -> Sink:
+    """Return a sink that writes ``picture(stabilized)`` into a video file."""
+    from sph_stab_ros.recording.video import VideoRecording
     from sph_stab_ros.recording.video_writer import VideoWriter
-    writer = stack.enter_context(VideoWriter(stack.enter_context(partial_output(path, force))))
-    return lambda s: writer.write(picture(s), s.frame.time_ns)
+    sound = recording.path if isinstance(recording, VideoRecording) else None
+    writer = stack.enter_context(VideoWriter(
+        stack.enter_context(partial_output(args.out, args.force)), spheres, sound,
+        is_all=not is_cut(args)))
+    return lambda s: writer.write(picture(s), s.frame.time_ns, s.frame.colour)
 
 
 def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:
@@ -83,9 +89,10 @@ def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> S
     return write
 
 
-def output_sink(args: Namespace, settings: Settings, stack: ExitStack) -> Sink:
+def output_sink(args: Namespace, settings: Settings, recording: Recording, stack: ExitStack
+                ) -> Sink:
     """Return the sink for OUT."""
-    if args.out.suffix != '.mp4':
+    if args.out.suffix not in VIDEO_SUFFIXES:
         return bag_sink(args.out, args.force, stack, settings)
     config = settings.config
     name = viewed(args.view) if args.view else config.views[0]
@@ -95,7 +102,8 @@ def output_sink(args: Namespace, settings: Settings, stack: ExitStack) -> Sink:
         if args.side_by_side:
             return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
         return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
-    return video_sink(args.out, args.force, stack, picture)
+    return video_sink(args, recording, stack, picture,
+                      spheres=not (args.side_by_side or args.view))
 
 
 def report(summary: Summary, config: StabilizerConfig, elapsed_s: float) -> Iterator[str]:
@@ -152,34 +160,35 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     add_recording(parser, 'IN')
     add_imu_topic(parser)
     parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
-                        help='rosbag2 folder or .mp4; nothing is warped without it')
+                        help='rosbag2 folder, .mp4 or .mov; nothing is warped without it')
     parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
                         help='write "stamp 0 0 0 qx qy qz qw" of each picture')
     parser.add_argument('--side-by-side', action='store_true',
-                        help='an .mp4 of sphere, front and back view, recorded and stabilised')
+                        help='a video of sphere, front and back view, recorded and stabilised')
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
     group = add_parameters(
         parser, 'All count as in the node but those of topics and of steering')
     group.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', action=SetParameters,
                        read=view_argument,
                        help='where the perspective view looks, in degrees (--view=-30,0,0,90: '
-                       'with = before a minus), or the name of one of the views; an .mp4 shows '
+                       'with = before a minus), or the name of one of the views; a video shows '
                        'it instead of the sphere')
     group.add_argument('--smoothing', metavar='MODE[:SECONDS]', action=SetParameters,
                        read=smoothing_argument,
                        help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
                        'slow turns of heading, with this time constant (default: lock)')
-    add_shorthands(group, ('projection',))
+    add_shorthands(group, ('projection', 'layout'))
     add_calibration(group)
     add_shorthands(group, TRACKER_OPTIONS)
     # OUT may stand behind options too.
     args = parser.parse_intermixed_args(argv)
     if args.out is None and (args.view or args.side_by_side):
         parser.error('--view and --side-by-side need OUT')
-    if args.out is not None and args.out.suffix not in ('', '.mp4'):
-        parser.error(f"OUT is a folder for a bag, or ends in .mp4: not '{args.out}'")
-    if args.side_by_side and args.out.suffix != '.mp4':
-        parser.error('--side-by-side needs an .mp4 as OUT')
+    if args.out is not None and args.out.suffix not in ('', *VIDEO_SUFFIXES):
+        parser.error(f"OUT is a folder for a bag, or ends in .mp4 or .mov: not '{args.out}'")
+    if args.side_by_side and not args.out.suffix:
+        parser.error('--side-by-side needs an .mp4 or .mov as OUT')
+    check_stretch(parser, args)
     paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
     if len(set(paths)) < len(paths):
         parser.error('IN, OUT and --trajectory must be different files')
@@ -196,7 +205,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     config = settings.config
 
     def command() -> None:
-        recording = open_recording(args.recording, args.image_topic)
+        recording = open_given(args)
         imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
                if config.level == IMU else None)
         total = frames_to_read(recording, args.max_frames)
@@ -206,7 +215,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if args.trajectory:
                 sinks.append(trajectory_sink(args.trajectory, args.force, stack))
             if args.out:
-                sinks.append(output_sink(args, settings, stack))
+                sinks.append(output_sink(args, settings, recording, stack))
             stack.enter_context(logging_redirect_tqdm())
             # Shown on terminals only.
             summary = stabilize_recording(
@@ -215,6 +224,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 pictures=args.out is not None, watch=PictureWatch(config.projection))
         for line in report(summary, config, time.perf_counter() - start_s):
             print(line)
+        if args.out and args.out.suffix and summary.colour and summary.colour.assumed:
+            print(f'colours are taken to be of {summary.colour.assumed}: no tag says so')
         if imu is not None:
             print(f'levelled by {imu.samples} samples of {imu.topic}, {imu.refused} left out')
 

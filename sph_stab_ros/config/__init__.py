@@ -11,16 +11,18 @@
 from sph_stab_ros.config.options import (
     ConfigError, get_option, Option, options, with_option)
 from sph_stab_ros.config.schema import (
-    ANCHORED, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW, IMAGE_TRANSPORTS,
-    IMU, ImuConfig, LensConfig, LEVELS, LOCK, METHODS, MIN_WIDTH, MODES, NODE_PARAMETERS,
-    NodeConfig, PROJECTIONS, RESERVED, SmoothingConfig, StabilizerConfig, TrackerConfig, VIEW,
-    VIEW_NAME, view_parameters, ViewConfig, YAW_FOLLOW)
+    ANCHORED, AUTO, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW,
+    HALF_SPHERE, IMAGE_TRANSPORTS, IMU, ImuConfig, LEFT_RIGHT, LensConfig, LEVELS, LOCK,
+    METHODS, MIN_WIDTH, MODES, MONO, NODE_PARAMETERS, NodeConfig, PICTURE_LAYOUTS, PROJECTIONS,
+    RESERVED, SmoothingConfig, StabilizerConfig, TOP_BOTTOM, TrackerConfig, VIEW, VIEW_NAME,
+    view_parameters, ViewConfig, VR180, YAW_FOLLOW)
 from sph_stab_ros.config.settings import frame_in_tf, Settings, settings_of
 
 __all__ = [
-    'ANCHORED', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME', 'FisheyeConfig',
-    'FLOWS', 'FOLLOW', 'frame_in_tf', 'get_option', 'IMAGE_TRANSPORTS', 'IMU', 'ImuConfig',
-    'LensConfig', 'LEVELS', 'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'NODE_PARAMETERS',
-    'NodeConfig', 'Option', 'options', 'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of',
-    'SmoothingConfig', 'StabilizerConfig', 'TrackerConfig', 'VIEW', 'VIEW_NAME',
-    'view_parameters', 'ViewConfig', 'with_option', 'YAW_FOLLOW']
+    'ANCHORED', 'AUTO', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME',
+    'FisheyeConfig', 'FLOWS', 'FOLLOW', 'frame_in_tf', 'get_option', 'HALF_SPHERE',
+    'IMAGE_TRANSPORTS', 'IMU', 'ImuConfig', 'LEFT_RIGHT', 'LensConfig', 'LEVELS', 'LOCK',
+    'METHODS', 'MIN_WIDTH', 'MODES', 'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'Option',
+    'options', 'PICTURE_LAYOUTS', 'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of',
+    'SmoothingConfig', 'StabilizerConfig', 'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME',
+    'view_parameters', 'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']

@@ -36,6 +36,13 @@ RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overri
 EQUIRECT = 'equirect'
 DUAL_FISHEYE = 'dual_fisheye'
 PROJECTIONS = (EQUIRECT, DUAL_FISHEYE)
+AUTO = 'auto'
+MONO = 'mono'
+TOP_BOTTOM = 'top_bottom'
+LEFT_RIGHT = 'left_right'
+VR180 = 'vr180'
+HALF_SPHERE = 'half_sphere'
+PICTURE_LAYOUTS = (AUTO, MONO, TOP_BOTTOM, LEFT_RIGHT, VR180, HALF_SPHERE)
 # Narrower spheres show too little.
 MIN_WIDTH = 128
 
@@ -175,6 +182,11 @@ class StabilizerConfig(Checked):
     projection: str = option(
         EQUIRECT, 'What the images are: equirectangular, or the two circles of two fisheye lenses '
         'as calibrated in fisheye.*', choices=PROJECTIONS)
+    layout: str = option(
+        AUTO, "Where an equirectangular image holds the sphere: as a video's metadata say, else "
+        'it is the sphere (auto); one sphere whatever they say (mono); two of them for two eyes, '
+        'of which the left one is used (top_bottom, left_right); two front halves (vr180); one '
+        '(half_sphere)', choices=PICTURE_LAYOUTS)
     fisheye: FisheyeConfig = FisheyeConfig()
 
 

@@ -7,10 +7,10 @@
 # language governing permissions and limitations under the License.
 
 """
-A recording of two fisheye circles, read as equirectangular pictures.
+A recording of two fisheye circles, two eyes or a part of the sphere, read as spheres.
 
-Injected rotations and figures need those. The circles are stitched, that is joined into one
-sphere; nothing is turned or stabilised here.
+Injected rotations and figures need those. Circles are stitched, that is joined into one sphere, of
+two eyes one is taken; nothing is turned or stabilised here.
 """
 
 from collections import Counter
@@ -27,6 +27,7 @@ from sph_stab_ros.geometry.warp import equirect_warp
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
+from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.recording.base import Recording, SkipLog
 
 logger = logging.getLogger(__name__)
@@ -73,6 +74,7 @@ class Stitched:
                 self._skip_log.add(error.reason, error)
 
     def _stitched(self, frame: Frame) -> Frame:
+        frame = as_sphere(frame, self._config)
         hint = self._watch.look(frame)
         if hint:
             logger.warning('%s: %s', self.name, hint)

@@ -12,7 +12,7 @@ The arrays that pass between modules, named by what they hold.
 A checker sees the type of their elements only; the shapes, in the comments, are for the reader.
 """
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +42,3 @@ Values: TypeAlias = Floats  # (N,)
 Choice: TypeAlias = NDArray[np.bool_]  # (N,)
 Indices: TypeAlias = NDArray[np.integer[Any]]  # (N,)
 Stamps: TypeAlias = NDArray[np.int64]  # (N,) in nanoseconds
-
-
-class Planes(NamedTuple):
-    """A picture as Y (H, W) and, half as wide and high, U and V, all uint8."""
-
-    y: Grey
-    u: Grey
-    v: Grey

@@ -15,6 +15,7 @@ import numpy as np
 
 from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.equirect import is_equirect, row_solid_angles
+from sph_stab_ros.geometry.projection_factory import ProjectionError
 
 LATITUDE_PREFIX = 'lat:'
 
@@ -44,6 +45,20 @@ def load_mask(spec: str, width: int) -> Mask | None:
     if not used.any():
         raise MaskError(f"mask '{spec}' leaves no pixel to use")
     return used
+
+
+def common(used: Mask | None, seen: Mask | None) -> Mask | None:
+    """
+    Return the pixels to use (H, W) of those that a picture shows; None are all.
+
+    Raises ProjectionError where there are none.
+    """
+    if used is None or seen is None:
+        return seen if used is None else used
+    both = used & seen
+    if not both.any():
+        raise ProjectionError('nothing to use', 'the mask leaves no pixel of what the image shows')
+    return both
 
 
 def share_of_sphere(pixels: Mask) -> float:

@@ -9,18 +9,37 @@
 """One picture with its time, as it passes from the recordings and topics into the core."""
 
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
-from sph_stab_ros.geometry.arrays import Grey, Image, Planes
+import numpy as np
+
+from sph_stab_ros.geometry.arrays import Grey, Image
+from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.codec import decoded, file_in, is_raw, JPEG
+from sph_stab_ros.images.colour import Colour
 from sph_stab_ros.images.jpeg import JpegFile
 from sph_stab_ros.images.picture_time import PictureTime
 from sph_stab_ros.images.raw import image_from_raw
-from sph_stab_ros.images.video.picture import VideoPicture
+
+
+class LazyPicture(Protocol):
+    """A picture of which no more is decoded than is asked for, such as a JpegFile."""
+
+    @property
+    def size_wh(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+
+    @property
+    def image(self) -> Image:
+        """Return the picture, decoded once; ImageError where it cannot be."""
+
+    def grey(self, width: int = 0) -> Grey:
+        """Return the picture in grey; a smaller one, at least as wide as this, costs less."""
+
 
 # A picture, or what one is made of when it is asked for.
-PictureSource: TypeAlias = Image | JpegFile | VideoPicture
+PictureSource: TypeAlias = Image | LazyPicture
 
 
 @dataclass(frozen=True)
@@ -28,18 +47,20 @@ class Frame:
     """
     A picture of the sphere and when it was taken.
 
-    It may be asked for in colours (``image``), in ``grey``, or as the ``planes`` it consists of;
-    none is written to. ``source`` is an array as ``image``, a JpegFile or a VideoPicture. Which of
-    its pixels shows what is the Projection's business, and whether its size fits the Stabilizer's.
-    ``stamp_ns`` is the header's or the container's
-    time; ``frame_id`` names the camera's frame. ``times`` is what a PictureClock made of the
-    stamp; without, the stamp is taken as it is.
+    It may be asked for in colours (``image``) or in ``grey``; neither is written to. ``source`` is
+    an array as ``image`` or the LazyPicture that holds it. Which of its pixels shows what is the
+    Projection's business, and whether its size fits the Stabilizer's. ``stamp_ns`` is the header's
+    or the container's time; ``frame_id`` names the camera's frame. ``times`` is what a
+    PictureClock made of the stamp; without, the stamp is taken as it is. ``layout`` is where the
+    picture holds the sphere, as far as a recording says so, and ``colour`` what its values mean.
     """
 
     source: PictureSource
     stamp_ns: int
     frame_id: str = ''
     times: PictureTime | None = None
+    layout: Layout | None = None
+    colour: Colour | None = None
 
     @property
     def time_ns(self) -> int:
@@ -54,32 +75,25 @@ class Frame:
     @property
     def image(self) -> Image:
         """Return the picture, BGR (H, W, 3) or grey (H, W); ImageError where it is damaged."""
-        source = self.source
-        return source.image if isinstance(source, JpegFile | VideoPicture) else source
-
-    @property
-    def planes(self) -> Planes | None:
-        """Return the picture as Y, U and V where that is what it consists of."""
-        return self.source.planes if isinstance(self.source, VideoPicture) else None
+        return self.source if isinstance(self.source, np.ndarray) else self.source.image
 
     @property
     def size_wh(self) -> tuple[int, int]:
         """Width and height of the picture in pixels, which need not be decoded for that."""
-        if isinstance(self.source, JpegFile | VideoPicture):
-            return self.source.size_wh
-        height, width = self.source.shape[:2]
-        return width, height
+        if isinstance(self.source, np.ndarray):
+            height, width = self.source.shape[:2]
+            return width, height
+        return self.source.size_wh
 
     def load(self) -> None:
-        """Decode the whole picture, which then serves ``grey`` too."""
+        """Decode the whole picture where that then serves ``grey`` too."""
         if isinstance(self.source, JpegFile):
             self.source.image
 
     def grey(self, width: int = 0) -> Grey:
         """Return the picture in grey; a smaller one, at least as wide as this, costs less."""
-        source = self.source
-        return (source.grey(width) if isinstance(source, JpegFile | VideoPicture)
-                else to_grey(source))
+        return (to_grey(self.source) if isinstance(self.source, np.ndarray)
+                else self.source.grey(width))
 
 
 def source_from_message(msg: Any) -> PictureSource:

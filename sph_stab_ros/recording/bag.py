@@ -22,10 +22,11 @@ from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.images.video.decoder import NO_KEY
-from sph_stab_ros.recording.base import RecordingError, SkipLog
+from sph_stab_ros.images.video.picture import VideoPicture
+from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.containers import Channel, Containers
 from sph_stab_ros.recording.message_types import decoded, IMAGE_TYPES, is_known
-from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times
+from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times, within
 
 logger = logging.getLogger(__name__)
 
@@ -49,8 +50,10 @@ class BagRecording:
     that was cut short or damaged all that is whole is read.
     """
 
-    def __init__(self, path: Path, image_topic: str | None = None) -> None:
+    def __init__(self, path: Path, image_topic: str | None = None, stretch: Stretch = Stretch()
+                 ) -> None:
         self.path = path
+        self._stretch = stretch
         self.name = path.name
         self._containers = Containers(path)
         counts: Counter[str] = Counter()
@@ -81,9 +84,10 @@ class BagRecording:
         if first and known is None:
             # Only here, as it takes to read the beginning twice.
             known = first_stamp(taken.stamp for taken, _ in islice(self._taken(), MAX_UNSTAMPED))
-        for times, (frame_id, source) in with_times(
-                self.name, pictures, PictureClock(first=known)):
-            yield Frame(source, times.stamp_ns, frame_id, times)
+        timed = with_times(self.name, pictures, PictureClock(first=known))
+        for times, (frame_id, source) in within(self.name, timed, self._stretch):
+            colour = source.colour if isinstance(source, VideoPicture) else None
+            yield Frame(source, times.stamp_ns, frame_id, times, colour=colour)
 
     def _taken(self) -> Iterator[tuple[Taken, Any]]:
         """Yield the messages of the image topic, and when they were taken."""

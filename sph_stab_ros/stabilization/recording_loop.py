@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
+from sph_stab_ros.images.colour import Colour
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording, RecordingError
@@ -51,10 +52,13 @@ class Summary:
     left_out: Counter[str] = field(default_factory=Counter)
     turned_rad: float = 0.
     R_world_camera: Rotation | None = None
+    # Of the first picture.
+    colour: Colour | None = None
 
     def add(self, stabilized: StabilizedFrame) -> None:
         """Count a StabilizedFrame; name the first event of each kind in the log."""
         self.frames += 1
+        self.colour = self.colour or stabilized.frame.colour
         self.statuses[stabilized.status.value] += 1
         for event in stabilized.events:
             self.events[event.value] += 1

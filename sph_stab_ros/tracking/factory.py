@@ -14,7 +14,8 @@ from typing import TypeAlias
 import numpy as np
 
 from sph_stab_ros.config import ANCHORED, TrackerConfig
-from sph_stab_ros.geometry.masks import load_mask
+from sph_stab_ros.geometry.arrays import Mask
+from sph_stab_ros.geometry.masks import common, load_mask
 from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import GyroRotation, no_gyro, Tracker
@@ -24,8 +25,8 @@ from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
 ANCHORED_WIDTH = 640
 FRAME_TO_FRAME_WIDTH = 480
 
-# From config, width of the grey spheres and gyro to a Tracker.
-MakeTracker: TypeAlias = Callable[[TrackerConfig, int, GyroRotation], Tracker]
+# From config, width of the grey spheres, gyro and perhaps what is seen of them to a Tracker.
+MakeTracker: TypeAlias = Callable[..., Tracker]
 
 
 def working_width(config: TrackerConfig) -> int:
@@ -42,14 +43,16 @@ def check_mask(config: TrackerConfig) -> None:
 
 def make_tracker(
         config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro,
-        anchored: AnchoredOptions = AnchoredOptions()) -> Tracker:
+        seen: Mask | None = None, anchored: AnchoredOptions = AnchoredOptions()) -> Tracker:
     """
     Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
 
     ``gyro_rotation(from_ns, to_ns)`` returns the turn ``R_from_to`` that a gyro has seen between
-    two stamps, or None. ``anchored`` says how the anchored tracker does what it does.
+    two stamps, or None. ``seen`` are the pixels (width / 2, width) bool that the pictures show,
+    all by default; ProjectionError where the config's mask leaves none of them. ``anchored`` says
+    how the anchored tracker does what it does.
     """
-    used = load_mask(config.mask, width)
+    used = common(load_mask(config.mask, width), seen)
     if config.estimator == ANCHORED:
         return AnchoredTracker(width, used, config.max_prediction_s, gyro_rotation, anchored)
     bound_deg = config.epipolar_bound_deg

@@ -19,6 +19,7 @@ from struct import unpack_from
 import subprocess
 import sys
 from time import monotonic
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -32,6 +33,8 @@ from tiny_recordings import stamps_of, turning_spheres
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from node_harness import DOMAINS, pixels, rotation, stabilizer, stamp_ns  # noqa: E402, I100
+from sensor_msgs.msg import CompressedImage  # noqa: E402
+from sph_stab_ros.operator.robot import Robot  # noqa: E402
 
 TIMEOUT_S = 30.
 RESEND_S = 0.5
@@ -176,6 +179,15 @@ async def answer_to(url, command):
                 return values
             if values['robot'][f'can_{command}']:
                 await browser.send_str(json.dumps({'type': command}))
+
+
+def test_a_camera_of_compressed_video_is_told_how_it_can_be_shown():
+    """The page draws JPEG and PNG."""
+    robot = mock.Mock()
+    Robot._encode(robot, CompressedImage(format='h264', data=b'\0\0\0\1'), 0.)
+    robot._pairing.add_picture.assert_not_called()
+    (_, text), _ = robot._log.warn.call_args
+    assert text.endswith('--pictures stabilizer')
 
 
 def test_parameters_that_are_the_stabilizer_s_are_told_of():

@@ -19,8 +19,10 @@ from tiny_recordings import PERIOD_NS, START_NS, turning_spheres
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('av')
 from node_harness import pixels, stabilizer, stamp_ns  # noqa: E402, I100
+from rclpy.time import Time  # noqa: E402
 from sensor_msgs.msg import CompressedImage  # noqa: E402
 from sph_stab_ros.images.codec import fill_message  # noqa: E402
+from sph_stab_ros.ros.messages import message_type  # noqa: E402
 from sph_stab_ros.ros.topics import TRANSPORTS  # noqa: E402
 from sph_stab_ros.config import IMAGE_TRANSPORTS, StabilizerConfig  # noqa: E402, I100
 from sph_stab_ros.images.frame import Frame  # noqa: E402
@@ -86,6 +88,29 @@ def test_begun_anywhere_the_node_waits_for_a_key_picture_and_says_so(tmp_path, s
         assert heard(peer) == [*range(KEY_PERIOD, COUNT)]
         peer.diagnostics(lambda values: values['message'] == 'ok')
         assert peer.output().count('pictures passed over before a key picture: 3') == 1
+
+
+@pytest.mark.parametrize('transport', ['ffmpeg', 'foxglove'])
+def test_other_transports_are_listened_to_where_their_messages_are_installed(
+        tmp_path, spheres, transport):
+    ending, name = TRANSPORTS[transport]
+    package, _, _ = name.partition('/')
+    pytest.importorskip(package, reason=f'{package} is not installed')
+    msg_type = message_type(name)
+    with stabilizer(tmp_path, *QUICK, '-p', f'image_transport:={transport}',
+                    topics=('orientation', '/diagnostics'), camera=False) as peer:
+        camera = peer.advertise(msg_type, f'image{ending}')
+        peer.wait_until(camera.get_subscription_count)
+        for index, data in encode(spheres, 'h264'):
+            msg = fill_message(msg_type(), {'data': np.frombuffer(data, np.uint8)})
+            stamp = Time(nanoseconds=stamp_of(index)).to_msg()
+            if transport == 'ffmpeg':
+                msg.header.stamp, msg.header.frame_id, msg.encoding = stamp, 'camera', 'libx264'
+            else:
+                msg.timestamp, msg.frame_id, msg.format = stamp, 'camera', 'h264'
+            camera.publish(msg)
+            peer.wait_until(lambda: heard(peer)[-1:] == [index])
+        assert heard(peer) == [*range(COUNT)]
 
 
 def test_pictures_are_those_of_the_stream_and_stabilized(tmp_path, spheres):

@@ -17,6 +17,7 @@ import pytest
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame
 from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import Stamp
+from sph_stab_ros.images.video.picture import tagged_colour, VideoPicture
 from tiny_recordings import turning_spheres
 
 # Who imports this is skipped without.
@@ -78,14 +79,14 @@ def pictures(name):
 
 
 def decode(packets, name):
-    """Return BGR pictures by index, decoded as a video file would be."""
+    """Return pictures by index, decoded as those of a video file are."""
     context = av.CodecContext.create(DECODERS[codec_of(name)], 'r')
     frames = []
     for index, data in packets:
         packet = av.Packet(data)
         packet.pts = index
         frames += context.decode(packet)
-    return {frame.pts: frame.to_ndarray(format='bgr24')
+    return {frame.pts: VideoPicture(frame, tagged_colour(frame, context)).image
             for frame in (*frames, *context.decode(None))}
 
 

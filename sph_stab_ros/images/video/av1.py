@@ -156,6 +156,20 @@ def leb128(data: bytes, at: int) -> tuple[int, int]:
     raise Unreadable('its headers are cut')
 
 
+def read_operating_points(bits: Bits, delay_length: int, found: Sequence) -> None:
+    """Read what a sequence header says of its operating points."""
+    has_display_delay = bits.u(1)
+    for _ in range(bits.u(5) + 1):
+        idc, level = bits.u(12), bits.u(5)
+        if level > 7:
+            bits.u(1)
+        if delay_length and bits.u(1):
+            bits.u(2 * delay_length + 1)
+            found.operating_point_idcs.append(idc)
+        if has_display_delay and bits.u(1):
+            bits.u(4)
+
+
 def read_sequence(bits: Bits) -> Sequence:
     """Return what a sequence header says (5.5)."""
     found = Sequence()
@@ -175,16 +189,7 @@ def read_sequence(bits: Bits) -> Sequence:
             bits.u(32)
             found.buffer_removal_time_length = bits.u(5) + 1
             found.frame_presentation_time_length = bits.u(5) + 1
-    has_display_delay = bits.u(1)
-    for _ in range(bits.u(5) + 1):
-        idc, level = bits.u(12), bits.u(5)
-        if level > 7:
-            bits.u(1)
-        if delay_length and bits.u(1):
-            bits.u(2 * delay_length + 1)
-            found.operating_point_idcs.append(idc)
-        if has_display_delay and bits.u(1):
-            bits.u(4)
+    read_operating_points(bits, delay_length, found)
     width_bits, height_bits = bits.u(4) + 1, bits.u(4) + 1
     bits.u(width_bits + height_bits)
     if bits.u(1):

@@ -26,7 +26,7 @@ from sph_stab_ros.images.video.bits import Stream, Unit, Unreadable
 from sph_stab_ros.images.video.gap_clock import GapClock
 from sph_stab_ros.images.video.h264 import H264
 from sph_stab_ros.images.video.h265 import H265
-from sph_stab_ros.images.video.picture import VideoPicture
+from sph_stab_ros.images.video.picture import tagged_colour, VideoPicture
 
 if TYPE_CHECKING:
     import av
@@ -197,7 +197,8 @@ class VideoDecoder(Generic[Item]):
                 self._pictures.clear()
                 self._flush()
                 return
-            self._pictures[frame.pts] = VideoPicture(frame)
+            self._pictures[frame.pts] = VideoPicture(
+                frame, tagged_colour(frame, self._context))
         yield from self._proved()
 
     def _proved(self, at_end: bool = False) -> Iterator[Outcome[Item]]:

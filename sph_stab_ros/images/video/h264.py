@@ -19,6 +19,8 @@ from sph_stab_ros.images.video.bits import Bits, is_recovery_point, nal_units, U
 SLICE, PARTITION_A, IDR, SEI, SPS, PPS = 1, 2, 5, 6, 7, 8
 # A kind of slice.
 INTRA = 2
+# The largest numbers of parameter sets, and bits of frame_num.
+MOST_SPS, MOST_PPS, MOST_BITS = 31, 255, 16
 # Profiles whose SPS tells of colours and scaling.
 HIGH_PROFILES = {100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135}
 
@@ -47,9 +49,7 @@ class H264:
             if kind == SPS:
                 self._read_sps(Bits(unit[1:]))
             elif kind == PPS:
-                bits = Bits(unit[1:])
-                number = bits.ue()
-                self._sps_of_pps[number] = bits.ue()
+                self._read_pps(Bits(unit[1:]))
             elif kind == SEI:
                 recovers |= is_recovery_point(unit[1:])
             elif kind in (SLICE, PARTITION_A, IDR):
@@ -97,7 +97,16 @@ class H264:
                 for index in range(12 if chroma == 3 else 8):
                     if bits.u(1):
                         skip_scaling_list(bits, 16 if index < 6 else 64)
-        self._number_bits[number] = before, bits.ue() + 4
+        count = bits.ue() + 4
+        if number > MOST_SPS or count > MOST_BITS:
+            raise Unreadable('its parameters make no sense')
+        self._number_bits[number] = before, count
+
+    def _read_pps(self, bits: Bits) -> None:
+        number, sps = bits.ue(), bits.ue()
+        if number > MOST_PPS:
+            raise Unreadable('its parameters make no sense')
+        self._sps_of_pps[number] = sps
 
 
 def skip_scaling_list(bits: Bits, size: int) -> None:
