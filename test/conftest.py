@@ -30,6 +30,7 @@ FOLDER_MARKERS = {
     'operator/test_operator_robot.py': pytest.mark.ros,
     'operator/test_operator_connection.py': pytest.mark.browser,
     'operator/test_operator_page.py': pytest.mark.browser,
+    'operator/test_operator_graphics.py': pytest.mark.browser,
     'operator/test_operator_layout.py': pytest.mark.browser,
     'operator/test_operator_renderers.py': pytest.mark.browser,
     'test_package.py': pytest.mark.thorough,

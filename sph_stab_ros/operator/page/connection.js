@@ -16,7 +16,7 @@ const PAGE = Array.from(crypto.getRandomValues(new Uint32Array(4)), n => n.toStr
 
 export class Connection {
   // handlers: picture({sequence, stamp_ns, orientation, image}), state(…), notice(…),
-  // open(), closed(reason).
+  // open(), closed(reason), and maxColumns(), that the image may have.
   constructor(handlers) {
     this.handlers = handlers;
     this.retryMs = FIRST_RETRY_MS;
@@ -38,7 +38,8 @@ export class Connection {
     const socket = this.socket = new WebSocket(url);
     // What comes late from a connection that was given up counts no more.
     const ifCurrent = handler => event => socket === this.socket && handler(event);
-    const decoder = new PictureDecoder(ifCurrent(this.handlers.picture));
+    const decoder = new PictureDecoder(
+      ifCurrent(this.handlers.picture), this.handlers.maxColumns);
     let opened = false;
     this.checks = 0;
     socket.binaryType = 'arraybuffer';
@@ -88,8 +89,8 @@ export class Connection {
 
 // Decodes one picture at a time; of those that come meanwhile only the newest counts.
 class PictureDecoder {
-  constructor(done) {
-    this.done = done;
+  constructor(done, maxColumns) {
+    Object.assign(this, {done, maxColumns});
     this.next = null;
     this.busy = false;
   }
@@ -102,7 +103,7 @@ class PictureDecoder {
       const [header, file] = parsed(this.next);
       this.next = null;
       // A broken file is a picture without an image.
-      const image = await decode(file).catch(() => null);
+      const image = await decode(file, this.maxColumns()).catch(() => null);
       this.done({...header, image});
     }
     this.busy = false;

@@ -7,7 +7,7 @@ import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
 import {$, linkText, showNotice, showSituation, showState} from './panels.js';
-import {rendererFor} from './renderer.js';
+import {Renderer} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
 
 const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
@@ -23,7 +23,7 @@ const NO_CONTROL = {
 // What the server tells, as long as it tells nothing.
 const UNTOLD = {control: 'none', robot: null, rate_hz: null, latency_ms: null, wantedMode: null};
 
-const canvas = $('picture');
+const place = $('picture');
 const state = {
   ...UNTOLD,
   // Times are those of performance.now().
@@ -32,6 +32,8 @@ const state = {
   pictureAt: null, stabilized: true, derotated: false, columns: Infinity,
   R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
   raw: false,
+  // Whether the processor draws.
+  slow: false,
   // Whether the operator has chosen where to look.
   moved: false,
   // The angles on the instruments.
@@ -46,7 +48,11 @@ function requestDraw() {
   drawRequested = true;
   requestAnimationFrame(() => {
     drawRequested = false;
-    draw();
+    try {
+      draw();
+    } catch (error) {
+      Object.assign(state, {failure: error.message, pictureAt: null});
+    }
   });
 }
 
@@ -60,16 +66,19 @@ function draw() {
     Object.assign(state, picture.orientation);
     state.stabilized = picture.orientation !== null;
     state.derotated = picture.derotated;
-    state.pictureAt = performance.now();
   }
   fit();
   const R_virtual_view = fromYawPitch(look.yaw, look.pitch);
   const R_world_view = multiply(state.raw ? state.R_world_camera : state.R_world_virtual,
                                 R_virtual_view);
   const R_world_picture = state.derotated ? state.R_world_virtual : state.R_world_camera;
-  renderer.draw(matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
+  const shown = renderer.draw(
+    matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
   if (picture) {
-    canvas.dataset.stampNs = picture.stamp_ns;
+    if (shown) {
+      Object.assign(state, {failure: '', pictureAt: performance.now()});
+      place.dataset.stampNs = picture.stamp_ns;
+    }
     connection.send('drawn', {sequence: picture.sequence});
   }
 }
@@ -96,30 +105,39 @@ function takePicture(picture) {
     connection.send('skipped', {sequence});
     return;
   }
-  state.failure = '';
   waiting?.image.close();
   waiting = picture;
   requestDraw();
 }
 
-// Gives the canvas as many pixels as the window has; where they are slow, no more than the picture
-// has in view.
+// Draws as many pixels as the window has; where they are slow, no more than the picture has in view.
 function fit() {
-  const {clientWidth, clientHeight} = canvas;
+  const {clientWidth, clientHeight} = place;
   const longer = Math.max(clientWidth, clientHeight);
   let ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO);
   if (renderer.slow) {
     ratio = Math.min(SLOW_SHARE * ratio, columnsInView() / longer);
   }
-  const width = Math.round(clientWidth * ratio), height = Math.round(clientHeight * ratio);
-  // Also the same numbers would clear it.
-  if (width !== canvas.width) canvas.width = width;
-  if (height !== canvas.height) canvas.height = height;
+  renderer.resize(Math.round(clientWidth * ratio), Math.round(clientHeight * ratio));
 }
 
 // Where they are fewest, in the middle of the view.
 function columnsInView() {
   return state.columns * Math.tan(look.fov / 2) / Math.PI;
+}
+
+// What is on the screen is gone, and what comes is drawn otherwise.
+function takeFallBack(reason) {
+  Object.assign(state, {slow: true, pictureAt: null});
+  showState(state);
+  showNotice(`${reason} The processor draws now.`, false);
+  showLink();
+  requestDraw();
+}
+
+function showLink() {
+  $('link').textContent = linkText({encrypted: location.protocol === 'https:',
+                                    secure: isSecureContext, slow: state.slow});
 }
 
 // Looking.
@@ -181,7 +199,7 @@ function nextMode() {
 function takeControl() {
   if (!connection.send('take_control')) showNotice(NO_CONTROL.none, false);
   state.moved = true;
-  canvas.focus();
+  place.focus();
 }
 
 function toggleRaw() {
@@ -215,13 +233,14 @@ const keyActions = {
 
 const tape = new HeadingTape($('tape'));
 const dial = new AttitudeDial($('attitude'));
-const look = new Look(canvas, looked, id => actions[id]());
+const look = new Look(place, looked, id => actions[id]());
 let connection;
 try {
-  renderer = rendererFor(canvas);
-  $('link').textContent = linkText({encrypted: location.protocol === 'https:',
-                                    secure: isSecureContext, slow: renderer.slow});
+  renderer = new Renderer(place, takeFallBack);
+  state.slow = renderer.slow;
+  showLink();
   connection = new Connection({
+    maxColumns: () => renderer.maxColumns,
     picture: takePicture,
     state: takeState,
     notice: takeNotice,
@@ -251,7 +270,7 @@ addEventListener('keydown', event => {
 $('modes').addEventListener('change', ({target}) => {
   setMode(target.value);
   // After a click arrow keys look around again; those who came by keyboard go on choosing.
-  if (!target.matches(':focus-visible')) canvas.focus();
+  if (!target.matches(':focus-visible')) place.focus();
 });
 // Some telephones have none.
 $('full').hidden = !document.fullscreenEnabled;
@@ -259,4 +278,4 @@ document.addEventListener('fullscreenchange', () =>
   $('full').setAttribute('aria-pressed', Boolean(document.fullscreenElement)));
 setInterval(showInstruments, INSTRUMENT_PERIOD_MS);
 setInterval(() => [tape, dial].forEach(one => one.describe()), DESCRIPTION_PERIOD_MS);
-new ResizeObserver(requestDraw).observe(canvas);
+new ResizeObserver(requestDraw).observe(place);

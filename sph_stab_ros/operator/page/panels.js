@@ -28,6 +28,7 @@ export function showState(state) {
   $('latency').classList.toggle('late', latency_ms > LATE_MS);
   $('estimates').textContent = figure(robot?.tracking ? robot.rate_hz : null, '/s');
   $('estimator').textContent = robot?.tracking || '–';
+  $('drawn-by').textContent = state.slow ? 'processor' : 'graphics card';
   $('control').classList.toggle('hidden', control === 'yours' || control === 'none');
   $('control').firstElementChild.textContent = control === 'taken'
     ? 'Watching: another operator steers.' : 'Nobody steers.';
