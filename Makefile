@@ -20,7 +20,8 @@ export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest coverage ledger evaluation
 .PHONY: evaluation-real evaluation-hard company evaluation-company benchmark benchmark-company
-.PHONY: benchmark-ros soak frames bags hard-frames hard constraints clean
+.PHONY: benchmark-ros soak frames bags hard-frames hard constraints
+.PHONY: packages clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -169,6 +170,9 @@ constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 	uv pip compile --universal --python-version 3.10 --all-extras --no-annotate --upgrade \
 	    --custom-compile-command 'make constraints' --resolution lowest-direct \
 	    setup.py -o constraints-oldest.txt
+
+packages:  ## Build sdist and wheel into dist/, and try them in bare environments (needs python3-build)
+	tools/check_packages.sh '$(PYTHON)'
 
 clean:  ## Remove the virtual environments and all results
 	rm -rf .venv .venv-oldest results

@@ -51,11 +51,13 @@ setup(
         'tqdm>=4.66.2,<5',
     ],
     extras_require={
-        'operator': ['aiohttp>=3.9.1,<4'],
+        'cluster': ['distributed>=2024.8.0,<2027'],
+        'operator': ['aiohttp>=3.9.1,<4', 'cryptography>=41.0.7,<51'],
         'plots': ['matplotlib>=3.8.0,<4'],
         # What others' methods make of the same pictures, for the benchmark alone.
         'references': ['poselib>=2.0.5,<3', 'pycolmap>=4.1.0,<5'],
-        'video': ['av>=15.0.0,<19'],
+        # The first whose decoder of H.265 says where a picture that it needs is missing.
+        'video': ['av>=16.0.0,<19'],
         'ros': [
             'ros-jazzy-rclpy[fastrtps]>=7.1,<8; ' + x86_64_linux,
             'ros-jazzy-common-interfaces>=5.3,<6; ' + x86_64_linux,
@@ -95,6 +97,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
+            'batch = sph_stab_ros.batch.__main__:main',
             'benchmark = sph_stab_ros.benchmark.__main__:main',
             'calibrate = sph_stab_ros.calibrate:main',
             'demo = sph_stab_ros.demo:main',

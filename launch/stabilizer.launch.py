@@ -25,10 +25,11 @@ ARGUMENTS = (
     DeclareLaunchArgument('namespace', default_value='', description='Namespace of the node'),
     DeclareLaunchArgument(
         'image', default_value='image',
-        description='Topic of the images; with /compressed behind it where image_transport is '
-                    'compressed'),
+        description='Topic of the images; with the transport behind it where image_transport is '
+                    'not raw'),
     DeclareLaunchArgument(
-        'image_transport', default_value='', choices=['', 'raw', 'compressed'],
+        'image_transport', default_value='',
+        choices=['', 'raw', 'compressed', 'ffmpeg', 'foxglove'],
         description='How the images come; empty: as params_file says'),
     DeclareLaunchArgument(
         'imu', default_value='imu',

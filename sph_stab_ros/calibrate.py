@@ -25,7 +25,8 @@ import numpy as np
 from sph_stab_ros.calibration.dual_fisheye import (
     calibrate, Calibration, CalibrationError, for_size)
 from sph_stab_ros.calibration.file import calibration_text
-from sph_stab_ros.command_line import add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line import (
+    add_recording, check_stretch, frames_to_read, open_given, Parser, run)
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, given_parameters, settings_from)
 from sph_stab_ros.config import FisheyeConfig, Settings
@@ -34,7 +35,7 @@ from sph_stab_ros.geometry.fisheye import fits
 from sph_stab_ros.geometry.lens_file import with_lens_file
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.recording import decoded_frames, open_recording, Recording, RecordingError
+from sph_stab_ros.recording import decoded_frames, Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 
 from tqdm import tqdm
@@ -92,6 +93,7 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     parser.add_argument('--force', action='store_true', help='replace FILE.yaml')
     add_calibration(add_parameters(parser, 'The calibration to start from is fisheye.* of these'))
     args = parser.parse_args(argv)
+    check_stretch(parser, args)
     return args, settings_from(parser, given_parameters(parser, args))
 
 
@@ -101,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     start = with_lens_file(settings.config.fisheye, (0, 0))
 
     def command() -> None:
-        recording = open_recording(args.recording, args.image_topic)
+        recording = open_given(args)
         with partial_output(args.out, args.force) as path:
             greys = spread_images(recording, start, args.max_frames, lambda frames: tqdm(
                 frames, total=frames_to_read(recording, args.max_frames), unit=' frames',

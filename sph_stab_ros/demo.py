@@ -17,6 +17,7 @@ played over and over until Ctrl-C; elsewhere it is played once, or for DEMO_SECO
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from importlib.util import find_spec
+from itertools import chain
 import os
 from pathlib import Path
 import signal
@@ -39,8 +40,10 @@ from sph_stab_ros.evaluation.alignment import align_trajectories, EvaluationErro
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.evaluation.runs import compare
 from sph_stab_ros.geometry.trajectory import Trajectory
-from sph_stab_ros.images.codec import image_from_message
+from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.message_decoder import MessageDecoder
+from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
@@ -98,9 +101,13 @@ class Listener:
 
     def frames(self) -> Iterator[StabilizedFrame]:
         """Yield a StabilizedFrame for each orientation, in the order of time."""
-        for time_ns in sorted(self.images.keys() & self.orientations.keys()):
-            frame = Frame(image_from_message(self.images[time_ns]), time_ns)
-            yield StabilizedFrame(frame, self.orientations[time_ns], TrackingStatus.OK)
+        decoder: MessageDecoder[int] = MessageDecoder(lambda text: None)
+        for time_ns, source in chain(
+                *(decoder.decode(msg, time_ns, Stamp(time_ns))
+                  for time_ns, msg in self.images.items()), decoder.flush()):
+            if time_ns in self.orientations and not isinstance(source, ImageError):
+                yield StabilizedFrame(
+                    Frame(source, time_ns), self.orientations[time_ns], TrackingStatus.OK)
 
     def trajectory(self) -> Trajectory:
         """Return the Trajectory of the orientations."""

@@ -8,7 +8,7 @@
 
 """Evaluate estimators against a recording's truth, or against rotations injected into it."""
 
-from argparse import ArgumentTypeError, Namespace
+from argparse import Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -21,28 +21,27 @@ import sys
 from typing import TypeAlias
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line import (
+    add_imu_topic, add_recording, check_stretch, frames_to_read, open_given, Parser, run)
 from sph_stab_ros.command_line.arguments import names_argument, output_argument
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, refuse_bad_mask,
     settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import (
-    ANCHORED, EQUIRECT, FLOWS, IMU, METHODS, MIN_WIDTH, StabilizerConfig)
+    ANCHORED, AUTO, EQUIRECT, FLOWS, IMU, METHODS, MIN_WIDTH, StabilizerConfig)
 from sph_stab_ros.evaluation import report
 from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
+from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import (
     Errors, evaluate_against_truth, evaluate_injected, Progress)
 from sph_stab_ros.evaluation.stitched import Stitched
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.geometry.trajectory import write_tum
-from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.images.picture_watch import PictureWatch
+from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic
 
@@ -65,8 +64,10 @@ Evaluation: TypeAlias = tuple[Figures, dict[str, Errors], dict[str, Figures]]
 
 def evaluate(args: Namespace, configs: Configs) -> None:
     """Do what the command line says."""
-    recording = open_recording(args.recording, args.image_topic)
-    spheres = Stitched(recording, next(iter(configs.values())))
+    recording = open_given(args)
+    config = next(iter(configs.values()))
+    watch = PictureWatch(config.projection)
+    spheres = Stitched(recording, config, watch)
     frames = frames_to_read(recording, args.max_frames)
     if args.plots:
         make_folder(args.plots)
@@ -83,7 +84,7 @@ def evaluate(args: Namespace, configs: Configs) -> None:
             file = stack.enter_context(partial_output(args.json, force=True))
         stack.enter_context(logging_redirect_tqdm())
         if args.inject is None:
-            about, errors, figures = by_truth(args, recording, configs, progress)
+            about, errors, figures = by_truth(args, recording, configs, progress, watch)
         else:
             about, errors, figures = by_injection(args, spheres, configs, frames, progress)
         if args.every:
@@ -101,17 +102,21 @@ def evaluate(args: Namespace, configs: Configs) -> None:
 
 
 def by_truth(args: Namespace, recording: Recording, configs: Configs,
-             progress: Progress) -> Evaluation:
+             progress: Progress, watch: PictureWatch) -> Evaluation:
     """Return what to say about the alignment, and Errors and figures by estimator."""
-    topic = args.truth or find_truth_topic(recording)
+    topic = args.truth or find_truth_topic(recording, args.truth_frames)
     levelled = any(config.level == IMU for config in configs.values())
     imu_topic = find_imu_topic(recording, args.imu_topic) if levelled else None
-    truth = read_truth(recording, topic)
+    truth = read_truth(recording, topic, args.truth_frames)
     alignment, errors, figures = evaluate_against_truth(
         recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress,
-        imu_topic)
+        imu_topic, watch)
     about = {'truth': topic, **report.describe(alignment, args.mount is not None)}
-    print(f'{recording.name}: {len(truth)} true orientations in {topic}')
+    of_frames = ''
+    if args.truth_frames:
+        about['truth_frames'] = ':'.join(args.truth_frames)
+        of_frames = f', {about["truth_frames"]}'
+    print(f'{recording.name}: {len(truth)} true orientations in {topic}{of_frames}')
     for line in report.alignment_lines(about, args.clock_offset is None):
         print(line)
     warn(recording.name, alignment)
@@ -128,7 +133,9 @@ def by_injection(args: Namespace, spheres: Stitched, configs: Configs, frames: i
         # The edge of what is seen would turn with the world, and be tracked.
         raise EvaluationError('--inject needs pictures of the whole sphere')
     mask = next(iter(configs.values())).tracker.mask
-    configs = {name: replace(config, projection=EQUIRECT) for name, config in configs.items()}
+    # What they are is the Stitched frames' own.
+    configs = {name: replace(config, projection=EQUIRECT, layout=AUTO)
+               for name, config in configs.items()}
     errors, figures = evaluate_injected(
         spheres, configs, args.inject, frames, args.body, progress)
     about = {'injected_seed': args.inject, 'body': args.body, 'mask': mask}
@@ -186,29 +193,8 @@ def see_that_figures_can_be_drawn() -> None:
             "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
 
 
-def mount_argument(text: str) -> Rotation:
-    """Return R_body_camera from ``yaw,pitch,roll`` in degrees or a quaternion ``x,y,z,w``."""
-    try:
-        values = np.array(text.split(','), float)
-        if np.isfinite(values).all() and len(values) == 4:
-            return Rotation.from_quat(values)
-        if np.isfinite(values).all() and len(values) == 3:
-            return R_BODY_CAMERA * view_rotation(*np.deg2rad(values))
-    except ValueError:
-        pass
-    raise ArgumentTypeError(f"'{text}' is neither yaw,pitch,roll in degrees nor qx,qy,qz,qw")
-
-
-def clock_argument(text: str) -> int | None:
-    """Return nanoseconds from seconds, None from ``auto``."""
-    try:
-        return None if text == 'auto' else round(float(text) * NS_PER_S)
-    except (ValueError, OverflowError):
-        raise ArgumentTypeError(f"'{text}' is neither auto nor a number of seconds") from None
-
-
-def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
-    """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
+def command_line() -> Parser:
+    """Return the parser of the command line."""
     parser = Parser(prog='evaluate', description=__doc__)
     add_recording(parser, 'REC')
     parser.add_argument('--estimators', metavar='A,B,...', type=names_argument(ESTIMATORS),
@@ -218,8 +204,12 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
                         help=f'each estimator with each of {", ".join(FLOWS)} '
                         "(default: the parameters')")
     parser.add_argument('--truth', metavar='TOPIC',
-                        help='PoseStamped, QuaternionStamped, TransformStamped, Odometry or Imu '
-                        '(default: the one there is)')
+                        help='PoseStamped, PoseWithCovarianceStamped, QuaternionStamped, '
+                        'TransformStamped, Odometry, Imu, Path or TFMessage (default: the one '
+                        'there is)')
+    parser.add_argument('--truth-frames', metavar='PARENT:CHILD', type=frames_argument,
+                        help='of a TFMessage topic, whose orientation in which frame is truth: '
+                        'the body in the world')
     parser.add_argument('--mount', metavar='YAW,PITCH,ROLL', type=mount_argument,
                         help="where the camera looks on the truth's body, in degrees to the left, "
                         'up, clockwise, or as a quaternion x,y,z,w of the optical frame; '
@@ -242,10 +232,17 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
                         help='draw figures into a folder')
     add_imu_topic(parser)
     group = add_parameters(parser, 'Those of estimator, projection, level and IMU count')
-    add_shorthands(group, ('projection',))
+    add_shorthands(group, ('projection', 'layout'))
     add_calibration(group)
     add_shorthands(group, (name for name in TRACKER_OPTIONS if name not in ('estimator', 'flow')))
+    return parser
+
+
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
+    """Return the parsed command line and StabilizerConfigs by name; exit 2 on a usage error."""
+    parser = command_line()
     args = parser.parse_args(argv)
+    check_stretch(parser, args)
     parameters = given_parameters(parser, args)
     config = settings_from(parser, parameters).config
     # Written so that NaN fails.
@@ -254,7 +251,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     if args.json and args.json.is_dir():
         parser.error(f"--json needs a file, '{args.json}' is a folder")
     if args.inject is not None:
-        if args.truth or args.mount is not None or args.clock_offset != 0 or args.tum:
+        if (args.truth or args.truth_frames or args.mount is not None or args.clock_offset != 0
+                or args.tum):
             parser.error('--inject needs no --truth, --mount, --clock-offset or --tum')
         if args.inject < 0:
             parser.error('--inject needs a SEED of 0 or more')

@@ -10,13 +10,12 @@
 Publish a recording on ROS topics, in its own time or faster.
 
 Images go out on ``image``, or ``image/compressed`` if they are compressed in the recording;
-remap them with ``--ros-args -r image:=/camera/image``. Ends with status 0 on SIGINT and SIGTERM.
+remap them with ``--ros-args -r image:=/camera/image``. Video is decoded where its messages are of
+a package that is not installed. Ends with status 0 on SIGINT and SIGTERM.
 """
 
 from argparse import Namespace
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import is_dataclass
 from functools import partial
 from heapq import merge
 from pathlib import Path
@@ -41,13 +40,17 @@ from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
-from sph_stab_ros.config import NodeConfig, Settings
+from sph_stab_ros.config import AUTO, NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
+from sph_stab_ros.images.picture_watch import PictureWatch
+from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
+from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
 from sph_stab_ros.ros import messages as ros_messages
+from sph_stab_ros.ros.topics import TRANSPORTS
 
 RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
 # Reliable, as subscribers of either kind can receive that.
@@ -78,8 +81,8 @@ class Player:
     topics
         What to publish beside the images, under the same names.
     config
-        Of the node that listens. By its ``image_transport`` images that are not compressed in
-        the recording are published as JPEG, of its ``jpeg_quality``.
+        Of the node that listens. By its ``image_transport`` images that are no CompressedImages
+        in the recording are published as JPEG, of its ``jpeg_quality``.
 
     """
 
@@ -89,17 +92,19 @@ class Player:
         self._node = node
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
+        self._watch = PictureWatch(config.projection)
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
-        if topic and not (compress and is_raw(recording.topics[topic])):
-            images_type = message_type(recording.topics[topic])
+        recorded = recording.topics[topic] if topic else ''
+        if topic and is_installed(recorded) and (recorded == COMPRESSED_IMAGE or not compress):
+            images_type = recorded
             self._sources.append(partial(recorded_messages, recording, topic))
         else:
-            images_type = CompressedImage if compress else Image
-            self._sources.append(
-                partial(frame_messages, recording, images_type, config.jpeg_quality))
-        self.images = node.create_publisher(
-            images_type, 'image' if images_type is Image else 'image/compressed', QOS)
+            images_type = COMPRESSED_IMAGE if compress else IMAGE
+            self._sources.append(partial(
+                frame_messages, recording, message_type(images_type), config))
+        ending, = (ending for ending, name in TRANSPORTS.values() if name == images_type)
+        self.images = node.create_publisher(message_type(images_type), f'image{ending}', QOS)
         self._publishers = [self.images]
         for topic in topics:
             self._sources.append(partial(recorded_messages, recording, topic))
@@ -141,6 +146,8 @@ class Player:
                 elif loop_start_ns:
                     # A stamp of zero means unknown and stays that.
                     restamp(msg, lambda ns: ns and ns + loop_start_ns)
+                if publisher is self.images and (hint := self._watch.look(msg)):
+                    self._node.get_logger().warning(hint)
                 publisher.publish(msg)
             if not loop or is_empty:
                 break
@@ -163,24 +170,31 @@ class Player:
             self._executor.spin_once(timeout_sec=left_s)
 
 
-def is_raw(images_type: str) -> bool:
-    """Tell whether messages of an images' type hold them uncompressed."""
-    return images_type.endswith('/Image')
+def is_installed(name: str) -> bool:
+    """Tell whether messages of a type can be published here."""
+    try:
+        ros_messages.message_type(name)
+    except ImportError:
+        return False
+    return True
 
 
 def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
     """Yield (time of receipt in ns, rclpy message) of a bag's topic, faulty images included."""
     message = message_type(recording.topics[topic])
     for received_ns, recorded in recording.messages(topic):
-        yield received_ns, copy_fields(recorded, message())
+        yield received_ns, ros_messages.copy_fields(recorded, message())
 
 
-def frame_messages(recording: Recording, images_type: type[Any],
-                   jpeg_quality: int) -> TimedMessages:
+def frame_messages(recording: Recording, images_type: type[Any], config: NodeConfig
+                   ) -> TimedMessages:
     """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
     for frame in recording.frames():
+        if config.layout == AUTO:
+            # What a video's metadata say has no place in a message.
+            frame = as_sphere(frame, config)
         msg = (fill_image(Image(), frame.image) if images_type is Image
-               else fill_compressed(CompressedImage(), frame.image, jpeg_quality))
+               else fill_compressed(CompressedImage(), frame.image, config.jpeg_quality))
         msg.header.stamp = time_message(frame.stamp_ns)
         msg.header.frame_id = frame.frame_id or CAMERA_FRAME
         yield frame.time_ns, msg
@@ -192,20 +206,6 @@ def message_type(name: str) -> type[Any]:
         return ros_messages.message_type(name)
     except ImportError:
         raise RecordingError(f'{name} is not installed') from None
-
-
-def copy_fields(source: Any, target: Any) -> Any:
-    """Fill a fresh rclpy message from one of the bag reader, and return it."""
-    for name in target.get_fields_and_field_types():
-        value = getattr(source, name)
-        if is_dataclass(value):
-            copy_fields(value, getattr(target, name))
-        elif isinstance(getattr(target, name), array):
-            # Assigning checks each element, which takes seconds for an image.
-            getattr(target, name).frombytes(value.tobytes())
-        else:
-            setattr(target, name, value)
-    return target
 
 
 def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:
@@ -236,7 +236,7 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
     group = add_parameters(
-        parser, 'image_transport and jpeg_quality count, so that the node gets what it wants')
+        parser, 'image_transport, jpeg_quality and projection count: the node gets what it wants')
     group.add_argument('--compressed', action=SetParameters, nargs=0,
                        read=lambda _, flag: {'image_transport': (flag, 'compressed')},
                        help='publish JPEG on image/compressed also where images are raw')

@@ -9,7 +9,7 @@
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cache
 import logging
@@ -21,7 +21,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from sph_stab_ros.command_line import add_imu_topic, add_recording, frames_to_read, Parser, run
+from sph_stab_ros.command_line import (
+    add_imu_topic, add_recording, check_stretch, frames_to_read, is_cut, open_given, Parser, run)
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
@@ -29,8 +30,10 @@ from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
-from sph_stab_ros.recording import open_recording
+from sph_stab_ros.recording import Recording
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
@@ -44,8 +47,11 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 logger = logging.getLogger(__name__)
 
+VIDEO_SUFFIXES = ('.mp4', '.mov')
 # Writes a frame down.
 Sink: TypeAlias = Callable[[StabilizedFrame], Any]
+# Passes on frames, of which so many are expected if that is known, and may tell of it.
+Progress: TypeAlias = Callable[[Iterator[Frame], int | None], Iterable[Frame]]
 
 
 def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
@@ -54,12 +60,16 @@ def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
     return lambda s: file.write(tum_line(s.stamp_ns, s.R_world_camera))
 
 
-def video_sink(path: Path, force: bool, stack: ExitStack,
-               picture: Callable[[StabilizedFrame], Image]) -> Sink:
-    """Return a sink that writes ``picture(stabilized)`` into an MP4 file."""
+def video_sink(args: Namespace, recording: Recording, stack: ExitStack,
+               picture: Callable[[StabilizedFrame], Image], spheres: bool) -> Sink:
+    """Return a sink that writes ``picture(stabilized)`` into a video file."""
+    from sph_stab_ros.recording.video import VideoRecording
     from sph_stab_ros.recording.video_writer import VideoWriter
-    writer = stack.enter_context(VideoWriter(stack.enter_context(partial_output(path, force))))
-    return lambda s: writer.write(picture(s), s.frame.time_ns)
+    sound = recording.path if isinstance(recording, VideoRecording) else None
+    writer = stack.enter_context(VideoWriter(
+        stack.enter_context(partial_output(args.out, args.force)), spheres, sound,
+        is_all=not is_cut(args)))
+    return lambda s: writer.write(picture(s), s.frame.time_ns, s.frame.colour)
 
 
 def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:
@@ -82,9 +92,10 @@ def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> S
     return write
 
 
-def output_sink(args: Namespace, settings: Settings, stack: ExitStack) -> Sink:
+def output_sink(args: Namespace, settings: Settings, recording: Recording, stack: ExitStack
+                ) -> Sink:
     """Return the sink for OUT."""
-    if args.out.suffix != '.mp4':
+    if args.out.suffix not in VIDEO_SUFFIXES:
         return bag_sink(args.out, args.force, stack, settings)
     config = settings.config
     name = viewed(args.view) if args.view else config.views[0]
@@ -94,7 +105,8 @@ def output_sink(args: Namespace, settings: Settings, stack: ExitStack) -> Sink:
         if args.side_by_side:
             return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
         return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
-    return video_sink(args.out, args.force, stack, picture)
+    return video_sink(args, recording, stack, picture,
+                      spheres=not (args.side_by_side or args.view))
 
 
 def report(summary: Summary, config: StabilizerConfig, elapsed_s: float) -> Iterator[str]:
@@ -145,77 +157,99 @@ def smoothing_argument(text: str, flag: str) -> Parameters:
         raise ConfigError(f"'{seconds}' is not a number of seconds") from None
 
 
-def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
-    """Return the parsed command line and the Settings; exit 2 on a usage error."""
-    parser = Parser(prog='replay', description=__doc__)
-    add_recording(parser, 'IN')
+def add_options(parser: Parser) -> None:
+    """Add arguments for how a recording is stabilised, whichever it is."""
     add_imu_topic(parser)
-    parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
-                        help='rosbag2 folder or .mp4; nothing is warped without it')
-    parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
-                        help='write "stamp 0 0 0 qx qy qz qw" of each picture')
     parser.add_argument('--side-by-side', action='store_true',
-                        help='an .mp4 of sphere, front and back view, recorded and stabilised')
-    parser.add_argument('--force', action='store_true', help='replace existing outputs')
+                        help='a video of sphere, front and back view, recorded and stabilised')
     group = add_parameters(
         parser, 'All count as in the node but those of topics and of steering')
     group.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', action=SetParameters,
                        read=view_argument,
                        help='where the perspective view looks, in degrees (--view=-30,0,0,90: '
-                       'with = before a minus), or the name of one of the views; an .mp4 shows '
+                       'with = before a minus), or the name of one of the views; a video shows '
                        'it instead of the sphere')
     group.add_argument('--smoothing', metavar='MODE[:SECONDS]', action=SetParameters,
                        read=smoothing_argument,
                        help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
                        'slow turns of heading, with this time constant (default: lock)')
-    add_shorthands(group, ('projection',))
+    add_shorthands(group, ('projection', 'layout'))
     add_calibration(group)
     add_shorthands(group, TRACKER_OPTIONS)
-    # OUT may stand behind options too.
-    args = parser.parse_intermixed_args(argv)
-    if args.out is None and (args.view or args.side_by_side):
-        parser.error('--view and --side-by-side need OUT')
-    if args.out is not None and args.out.suffix not in ('', '.mp4'):
-        parser.error(f"OUT is a folder for a bag, or ends in .mp4: not '{args.out}'")
-    if args.side_by_side and args.out.suffix != '.mp4':
-        parser.error('--side-by-side needs an .mp4 as OUT')
-    paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
-    if len(set(paths)) < len(paths):
-        parser.error('IN, OUT and --trajectory must be different files')
+
+
+def given_settings(parser: Parser, args: Namespace) -> Settings:
+    """Return the Settings of a parsed command line; exit 2 on a usage error."""
     settings = settings_from(parser, given_parameters(parser, args))
     if args.view and viewed(args.view) not in settings.views:
         parser.error(f"--view: '{viewed(args.view)}' is none of the views: "
                      f'{", ".join(settings.views)}')
-    return args, settings
+    return settings
+
+
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
+    """Return the parsed command line and the Settings; exit 2 on a usage error."""
+    parser = Parser(prog='replay', description=__doc__)
+    add_recording(parser, 'IN')
+    parser.add_argument('out', metavar='OUT', type=Path, nargs='?',
+                        help='rosbag2 folder, .mp4 or .mov; nothing is warped without it')
+    parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
+                        help='write "stamp 0 0 0 qx qy qz qw" of each picture')
+    parser.add_argument('--force', action='store_true', help='replace existing outputs')
+    add_options(parser)
+    # OUT may stand behind options too.
+    args = parser.parse_intermixed_args(argv)
+    if args.out is None and (args.view or args.side_by_side):
+        parser.error('--view and --side-by-side need OUT')
+    if args.out is not None and args.out.suffix not in ('', *VIDEO_SUFFIXES):
+        parser.error(f"OUT is a folder for a bag, or ends in .mp4 or .mov: not '{args.out}'")
+    if args.side_by_side and not args.out.suffix:
+        parser.error('--side-by-side needs an .mp4 or .mov as OUT')
+    check_stretch(parser, args)
+    paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
+    if len(set(paths)) < len(paths):
+        parser.error('IN, OUT and --trajectory must be different files')
+    return args, given_settings(parser, args)
+
+
+def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Summary, list[str]]:
+    """Do what a parsed command line says; return the Summary, and lines that tell of it."""
+    config = settings.config
+    recording = open_given(args)
+    imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
+           if config.level == IMU else None)
+    total = frames_to_read(recording, args.max_frames)
+    start_s = time.perf_counter()
+    with ExitStack() as stack:
+        sinks: list[Sink] = []
+        if args.trajectory:
+            sinks.append(trajectory_sink(args.trajectory, args.force, stack))
+        if args.out:
+            sinks.append(output_sink(args, settings, recording, stack))
+        summary = stabilize_recording(
+            recording, Stabilizer(config), sinks, args.max_frames,
+            lambda frames: progress(frames, total), imu, pictures=args.out is not None,
+            watch=PictureWatch(config.projection))
+    lines = list(report(summary, config, time.perf_counter() - start_s))
+    if args.out and args.out.suffix and summary.colour and summary.colour.assumed:
+        lines.append(f'colours are taken to be of {summary.colour.assumed}: no tag says so')
+    if imu is not None:
+        lines.append(
+            f'levelled by {imu.samples} samples of {imu.topic}, {imu.refused} left out')
+    return summary, lines
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args, settings = arguments(argv)
-    config = settings.config
 
     def command() -> None:
-        recording = open_recording(args.recording, args.image_topic)
-        imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
-               if config.level == IMU else None)
-        total = frames_to_read(recording, args.max_frames)
-        start_s = time.perf_counter()
-        with ExitStack() as stack:
-            sinks: list[Sink] = []
-            if args.trajectory:
-                sinks.append(trajectory_sink(args.trajectory, args.force, stack))
-            if args.out:
-                sinks.append(output_sink(args, settings, stack))
-            stack.enter_context(logging_redirect_tqdm())
+        with logging_redirect_tqdm():
             # Shown on terminals only.
-            summary = stabilize_recording(
-                recording, Stabilizer(config), sinks, args.max_frames,
-                lambda frames: tqdm(frames, total=total, unit=' frames', disable=None), imu,
-                pictures=args.out is not None)
-        for line in report(summary, config, time.perf_counter() - start_s):
+            _, lines = replay(args, settings, lambda frames, total: tqdm(
+                frames, total=total, unit=' frames', disable=None))
+        for line in lines:
             print(line)
-        if imu is not None:
-            print(f'levelled by {imu.samples} samples of {imu.topic}, {imu.refused} left out')
 
     return run('replay', command)
 

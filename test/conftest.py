@@ -26,8 +26,11 @@ TEST = Path(__file__).resolve().parent
 # What is marked in each; other tests bear their marks themselves.
 FOLDER_MARKERS = {
     'ros': pytest.mark.ros,
+    'operator/test_operator_command_line.py': pytest.mark.ros,
     'operator/test_operator_robot.py': pytest.mark.ros,
+    'operator/test_operator_connection.py': pytest.mark.browser,
     'operator/test_operator_page.py': pytest.mark.browser,
+    'operator/test_operator_graphics.py': pytest.mark.browser,
     'operator/test_operator_layout.py': pytest.mark.browser,
     'operator/test_operator_renderers.py': pytest.mark.browser,
     'test_package.py': pytest.mark.thorough,

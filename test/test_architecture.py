@@ -8,6 +8,7 @@
 
 """The order of the house: rooms that import one way, nothing at the top that cannot be run."""
 
+import ast
 import importlib
 from pathlib import Path
 import subprocess
@@ -18,10 +19,24 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'sph_stab_ros'
 MAX_LINES = 300
+MAX_STATEMENTS = 40
 SOURCES = sorted(path.relative_to(ROOT)
                  for folder in ('sph_stab_ros', 'tools', 'launch', 'examples')
                  for path in (ROOT / folder).rglob('*')
                  if path.suffix in ('.py', '.js', '.sh'))
+PYTHON = [path for path in SOURCES if path.suffix == '.py']
+FUNCTIONS = ast.FunctionDef, ast.AsyncFunctionDef
+
+
+def nodes(path, *kinds):
+    """Return the nodes of such kinds in a file of Python."""
+    return [node for node in ast.walk(ast.parse((ROOT / path).read_text()))
+            if isinstance(node, kinds)]
+
+
+def of_self(attribute):
+    """Tell whether an ast.Attribute is an object's own."""
+    return isinstance(attribute.value, ast.Name) and attribute.value.id in ('self', 'cls')
 
 
 def test_imports_go_one_way():
@@ -46,6 +61,28 @@ def test_what_stands_at_the_top_can_be_run(path):
 def test_a_file_can_be_read_at_once(path):
     lines = len((ROOT / path).read_text().splitlines())
     assert lines <= MAX_LINES, f'{lines} lines'
+
+
+@pytest.mark.parametrize('path', PYTHON, ids=str)
+def test_a_function_can_be_read_at_once(path):
+    for function in nodes(path, *FUNCTIONS):
+        statements = sum(isinstance(one, ast.stmt) for one in ast.walk(function)) - (
+            2 if ast.get_docstring(function) else 1)
+        assert statements <= MAX_STATEMENTS, f'{function.name}: {statements} statements'
+
+
+def test_what_is_private_is_touched_by_its_owner_alone():
+    """Of what this package's own classes and modules call private."""
+    private = {node.name for path in PYTHON for node in nodes(path, *FUNCTIONS, ast.ClassDef)}
+    private |= {node.attr for path in PYTHON for node in nodes(path, ast.Attribute)
+                if of_self(node)}
+    private = {name for name in private if name.startswith('_') and not name.endswith('__')}
+    assert len(private) > 100
+    for path in (*PYTHON, *(path.relative_to(ROOT) for path in (ROOT / 'test/tracking').iterdir()
+                            if path.suffix == '.py')):
+        touched = {node.attr for node in nodes(path, ast.Attribute) if not of_self(node)} | {
+            one.name for node in nodes(path, ast.ImportFrom) for one in node.names}
+        assert not touched & private, f'{path} touches {touched & private}'
 
 
 def test_each_room_says_what_it_is_for():

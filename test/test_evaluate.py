@@ -205,7 +205,7 @@ def test_wrong_calls_exit_with_2(bag, capsys, argv, said):
 
 
 @pytest.mark.parametrize('argv, said', [
-    (['--truth', '/theta/image_raw/compressed'], 'truth is one of'),
+    (['--truth', '/theta/image_raw/compressed'], 'as truth would do: /vrpn/pose'),
     (['--truth', '/nothing'], 'no topic /nothing'),
     (['--clock-offset', '3600'], 'do not overlap'),
     (['-p', 'level:=imu'], 'no IMU to level by'),
@@ -255,6 +255,7 @@ STAMPED = 'geometry_msgs/msg/QuaternionStamped'
 
 @pytest.mark.parametrize('msgtype, field', [
     ('geometry_msgs/msg/PoseStamped', 'pose.orientation'),
+    ('geometry_msgs/msg/PoseWithCovarianceStamped', 'pose.pose.orientation'),
     (STAMPED, 'quaternion'),
     ('geometry_msgs/msg/TransformStamped', 'transform.rotation'),
     ('nav_msgs/msg/Odometry', 'pose.pose.orientation'),

@@ -23,6 +23,7 @@ from unittest import mock
 from xml.etree import ElementTree
 
 import pytest
+import sph_stab_ros
 from sph_stab_ros.stabilization.outputs import topics
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,7 +35,9 @@ PYTHON_DEPENDENCIES = {
     'aiohttp': ('aiohttp', 'python3-aiohttp'),
     'av': ('av', None),
     'backports': ('backports.zstd', None),
+    'cryptography': ('cryptography', 'python3-cryptography'),
     'cv2': ('opencv-python-headless', 'python3-opencv'),
+    'distributed': ('distributed', None),
     'lz4': ('lz4', None),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'numpy': ('numpy', 'python3-numpy'),
@@ -46,7 +49,7 @@ PYTHON_DEPENDENCIES = {
     'threadpoolctl': ('threadpoolctl', None),
     'tqdm': ('tqdm', 'python3-tqdm'),
 }
-OPTIONAL_MODULES = {'av', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
+OPTIONAL_MODULES = {'av', 'distributed', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
 # The only modules, and with `ros` all modules below it, that may need ROS to be imported.
 ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in (
     'benchmark.node', 'benchmark.soak', 'demo', 'operator.__main__', 'operator.robot', 'player',
@@ -98,10 +101,17 @@ def test_manifest_and_setup_agree(setup_arguments, manifest):
     assert manifest.findtext('export/build_type') == 'ament_python'
 
 
+def test_one_version_is_named_everywhere(manifest):
+    version = manifest.findtext('version')
+    assert sph_stab_ros.__version__ == version
+    assert f'\nversion: {version}\n' in (ROOT / 'CITATION.cff').read_text()
+
+
 def test_setup_requires_what_is_imported(setup_arguments):
     extras = setup_arguments['extras_require']
     requirements = [*setup_arguments['install_requires'],
-                    *extras['operator'], *extras['plots'], *extras['references'], *extras['video']]
+                    *(extra for name in ('cluster', 'operator', 'plots', 'references', 'video')
+                      for extra in extras[name])]
     required = {re.match(r'[\w.-]+', requirement).group() for requirement in requirements}
     used = imported_modules() & PYTHON_DEPENDENCIES.keys()
     assert required == {PYTHON_DEPENDENCIES[module][0] for module in used}
@@ -155,7 +165,8 @@ sys.meta_path.insert(0, Missing())
 runpy.run_module(program, run_name='__main__', alter_sys=True)
 """
 # Of recordings, tables, plots and the page.
-NOT_FOR_THE_NODE = {'aiohttp', 'av', 'lz4', 'matplotlib', 'rosbags', 'ruamel', 'tqdm'}
+NOT_FOR_THE_NODE = {
+    'aiohttp', 'av', 'cryptography', 'lz4', 'matplotlib', 'rosbags', 'ruamel', 'tqdm'}
 
 
 def without_modules(missing, program, *arguments):

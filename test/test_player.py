@@ -9,6 +9,7 @@
 """The player in a process of its own, heard through the middleware."""
 
 from contextlib import contextmanager
+from importlib.util import find_spec
 import os
 import signal
 import subprocess
@@ -24,6 +25,7 @@ from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
 from tiny_recordings import (
     IMAGE_TOPIC, PERIOD_NS, stamps_of, START_NS, textured_sphere, write_bag)
+from video_bags import COMPRESSED_IMAGE, FFMPEG_PACKET, write_video_bag
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from geometry_msgs.msg import QuaternionStamped  # noqa: E402, I100
@@ -33,7 +35,8 @@ from rclpy.context import Context  # noqa: E402, I100
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402, I100
 from rclpy.serialization import serialize_message  # noqa: E402, I100
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402, I100
-from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
+from sph_stab_ros.player import message_type  # noqa: E402
+from sph_stab_ros.ros.messages import copy_fields  # noqa: E402
 
 pytestmark = pytest.mark.ros
 IMAGE = textured_sphere()
@@ -273,3 +276,26 @@ def test_a_recording_whose_clock_was_set_plays_on(tmp_path):
             assert np.diff(heard_ns).min() > 0 and heard_ns[-1] - heard_ns[0] < 2 * 10**9
         else:
             assert heard_ns == stamps_ns.tolist()
+
+
+def test_video_of_a_package_that_is_not_installed_goes_out_decoded(tmp_path):
+    """As raw images, or as JPEG if that is asked for; CompressedImages as they were recorded."""
+    video = pytest.importorskip('encoded_video')
+    if find_spec('ffmpeg_image_transport_msgs'):
+        pytest.skip('it is installed')
+    packets = video.stream('h264')
+    for number, (msgtype, words, topic, expected) in enumerate((
+            (FFMPEG_PACKET, [], 'image', Image),
+            (FFMPEG_PACKET, ['--compressed'], 'image/compressed', CompressedImage),
+            (COMPRESSED_IMAGE, ['--compressed'], 'image/compressed', CompressedImage))):
+        path = write_video_bag(tmp_path / str(number), packets, msgtype, 'h264')
+        with playing(path, '--rate', 2, *words, topics={topic: expected}) as heard:
+            heard.listen_to_the_end()
+        messages = heard.received[topic]
+        assert stamps(messages) == stamps_of(len(packets)).tolist()
+        if msgtype == COMPRESSED_IMAGE:
+            assert [bytes(msg.data) for msg in messages] == [data for _, data in packets]
+        else:
+            shown = [image_from_message(msg) for msg in messages]
+            assert max(np.abs(one.astype(int) - video.pictures('h264')[index]).mean()
+                       for index, one in enumerate(shown)) < (1e-9 if expected is Image else 8)

@@ -31,7 +31,7 @@ BLOCKS = re.findall(r'^```(\w+)\n(.*?)^```$', README, re.MULTILINE | re.DOTALL)
 TRY, OFFLINE, ROBOT = [text for language, text in BLOCKS if language == 'sh']
 LIBRARY, = [text for language, text in BLOCKS if language == 'python']
 # Of what is run here, the sign of life.
-STARTED = {'stabilizer': 'waiting for images on /theta/image_raw', 'operator': 'http://'}
+STARTED = {'stabilizer': 'waiting for images on /theta/image_raw', 'operator': 'https://'}
 # What test_package.py runs, and how it stands there.
 RUN_BY_TEST_PACKAGE = {'colcon build': "[colcon, 'build'",
                        '. install/setup.bash': '. install/local_setup.sh'}
@@ -151,10 +151,11 @@ def test_launch_files_take_the_arguments():
 
 @pytest.mark.ros
 @pytest.mark.parametrize('name', STARTED)
-def test_what_ros2_runs_starts(name):
+def test_what_ros2_runs_starts(name, tmp_path):
     """As python3 -m, without ros2; test_package.py runs what colcon installs."""
     if name == 'operator':
         pytest.importorskip('aiohttp')
+        pytest.importorskip('cryptography')
     domains = pytest.importorskip('node_harness', reason='rclpy is not installed').DOMAINS
     arguments = [*robot_commands('ros2', 'run', 'sph_stab_ros', name),
                  # The launch file starts it with these.
@@ -162,7 +163,8 @@ def test_what_ros2_runs_starts(name):
     process = subprocess.Popen(
         [sys.executable, '-m', f'sph_stab_ros.{name}', *arguments], text=True, cwd=ROOT,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        env={**os.environ, 'ROS_DOMAIN_ID': str(next(domains)), 'PYTHONUNBUFFERED': '1'})
+        env={**os.environ, 'ROS_DOMAIN_ID': str(next(domains)), 'PYTHONUNBUFFERED': '1',
+             'XDG_DATA_HOME': str(tmp_path)})
     killer = threading.Timer(60, process.kill)
     killer.start()
     output = ''

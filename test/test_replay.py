@@ -298,14 +298,19 @@ def test_force_replaces(turning_bag, tmp_path):
 
 
 def test_no_more_is_decoded_than_is_shown_or_tracked(tmp_path):
-    """A trajectory takes a grey picture of what tracking takes; colour is for what is shown."""
+    """
+    A trajectory takes a grey picture of what tracking takes; colour is for what is shown.
+
+    A small one tells whether they are spheres.
+    """
     bag = write_bag(tmp_path / 'bag', turning_spheres(3, width=1280)[0])
     for out, flags in (([], cv2.IMREAD_REDUCED_GRAYSCALE_2),
                        ([tmp_path / 'out'], cv2.IMREAD_ANYCOLOR)):
         with mock.patch('cv2.imdecode', wraps=cv2.imdecode) as decode:
             call(bag, *out, '--trajectory', tmp_path / 'out.tum', '--force')
         asked = [call.args[1] & ~cv2.IMREAD_IGNORE_ORIENTATION for call in decode.mock_calls]
-        assert asked == 3 * [flags]
+        looked_at = [] if out else [cv2.IMREAD_REDUCED_GRAYSCALE_4]
+        assert asked == 3 * [*looked_at, flags]
 
 
 def start(*args):

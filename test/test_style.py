@@ -13,9 +13,12 @@ import shutil
 
 from ament_flake8.main import main_with_errors as flake8
 from ament_pep257.main import main as pep257
+from flake8.api.legacy import get_style_guide
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+# As many ways through a function; more than ten are command lines and containers of video.
+MAX_COMPLEXITY = 13
 
 
 @pytest.fixture(autouse=True)
@@ -33,6 +36,13 @@ def test_flake8(capsys):
     status, errors = flake8(argv=python_paths())
     capsys.readouterr()
     assert status == 0, '\n'.join(errors)
+
+
+def test_no_function_is_too_complex(capfd):
+    """T. J. McCabe's cyclomatic complexity, which flake8 counts."""
+    guide = get_style_guide(select=['C901'], max_complexity=MAX_COMPLEXITY)
+    complex_ones = guide.check_files(python_paths()).total_errors
+    assert complex_ones == 0, capfd.readouterr().out
 
 
 def test_pep257(capsys, caplog):

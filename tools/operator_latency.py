@@ -58,7 +58,7 @@ CHROMIUM_FLAGS = (
 # The attribute is set by whoever has just drawn; observers are called before the canvas goes to
 # the display.
 PROBE = """columns => {
-    const canvas = document.getElementById('picture');
+    const place = document.getElementById('picture'), canvas = place.querySelector('canvas');
     const flat = canvas.getContext('2d'), gl = canvas.getContext('webgl2');
     window.drawn = [];
     new MutationObserver(() => {
@@ -68,8 +68,8 @@ PROBE = """columns => {
         gl?.readPixels(0, height >> 1, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
         const time_ms = performance.timeOrigin + performance.now();
         const seen = columns.map(x => row[4 * Math.round(x * width / innerWidth) + 1] > 128);
-        window.drawn.push([time_ms, canvas.dataset.stampNs, seen.map(Number)]);
-    }).observe(canvas, {attributeFilter: ['data-stamp-ns']});
+        window.drawn.push([time_ms, place.dataset.stampNs, seen.map(Number)]);
+    }).observe(place, {attributeFilter: ['data-stamp-ns']});
 }"""
 
 

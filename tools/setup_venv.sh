@@ -25,13 +25,13 @@ if grep -q '^numpy==1' "$constraints"; then
     fail "NumPy 1.26 has no wheels for Python $version; name a 3.10 to 3.12 with PYTHON=..."
 fi
 
-echo "Building $venv with Python $version (a download of 220 MB, 850 MB on disk) ..."
+echo "Building $venv with Python $version (a download of 220 MB, 890 MB on disk) ..."
 export PIP_DISABLE_PIP_VERSION_CHECK=1
 "$python" -m venv --clear "$venv"
 pip=("$venv/bin/python" -m pip install --quiet --constraint "$constraints")
 "${pip[@]}" setuptools wheel
 # Without isolation the build uses the pinned setuptools instead of fetching the newest one.
-"${pip[@]}" --no-build-isolation --editable '.[operator,plots,ros,test,video]'
+"${pip[@]}" --no-build-isolation --editable '.[cluster,operator,plots,ros,test,video]'
 
 if ! "$venv/bin/python" -c 'import rclpy' 2> /dev/null; then
   echo "setup: no wheels of ROS 2 for $(uname -sm): everything works except the node and player;" \

@@ -11,6 +11,7 @@
 import argparse
 from collections.abc import Callable
 import logging
+import math
 import os
 from pathlib import Path
 import signal
@@ -18,7 +19,7 @@ import sys
 from typing import NoReturn
 
 from sph_stab_ros.command_line.process_setup import set_up_process
-from sph_stab_ros.recording import Recording, RecordingError
+from sph_stab_ros.recording import open_recording, Recording, RecordingError
 
 
 class Parser(argparse.ArgumentParser):
@@ -33,9 +34,34 @@ def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
     """Add arguments for a recording to read, called ``name``, and for what of it."""
     parser.add_argument('recording', metavar=name, type=Path,
                         help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+    add_selection(parser)
+
+
+def add_selection(parser: argparse.ArgumentParser) -> None:
+    """Add arguments for what of a recording to read."""
     parser.add_argument('--image-topic', metavar='TOPIC',
                         help='where the images are in a bag with several image topics')
+    parser.add_argument('--start', metavar='SECONDS', type=_seconds, default=0.,
+                        help='leave out what comes before, counted from the first picture')
+    parser.add_argument('--end', metavar='SECONDS', type=_seconds, default=math.inf,
+                        help='leave out what comes then and later')
     parser.add_argument('--max-frames', metavar='N', type=_count, help='stop after N pictures')
+
+
+def check_stretch(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Exit 2 where no picture can be between ``--start`` and ``--end``."""
+    if args.end <= args.start:
+        parser.error('--end comes after --start')
+
+
+def open_given(args: argparse.Namespace) -> Recording:
+    """Return the Recording that the arguments of ``add_recording`` name, or its stretch."""
+    return open_recording(args.recording, args.image_topic, args.start, args.end)
+
+
+def is_cut(args: argparse.Namespace) -> bool:
+    """Tell whether arguments ask for less than the end of the recording."""
+    return args.max_frames is not None or args.end < math.inf
 
 
 def add_imu_topic(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +80,13 @@ def _count(text: str) -> int:
     if count < 1:
         raise argparse.ArgumentTypeError('must be at least 1')
     return count
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 <= seconds < math.inf:
+        raise argparse.ArgumentTypeError('must be a number of seconds, 0 or more')
+    return seconds
 
 
 def run(name: str, command: Callable[[], object]) -> int:

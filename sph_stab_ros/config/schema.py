@@ -27,12 +27,21 @@ LOCK = 'lock'
 FOLLOW = 'follow'
 YAW_FOLLOW = 'yaw_follow'
 MODES = (LOCK, FOLLOW, YAW_FOLLOW)
+# As image_transport and its plugins name them.
+IMAGE_TRANSPORTS = ('raw', 'compressed', 'ffmpeg', 'foxglove')
 # The only view, unless others are named.
 VIEW = 'view'
 VIEW_NAME = '[A-Za-z]([A-Za-z0-9]|_(?!_))*'
 # Roots of topics and of rclpy's own parameters.
 RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized',
             'virtual_orientation')
+AUTO = 'auto'
+MONO = 'mono'
+TOP_BOTTOM = 'top_bottom'
+LEFT_RIGHT = 'left_right'
+VR180 = 'vr180'
+HALF_SPHERE = 'half_sphere'
+PICTURE_LAYOUTS = (AUTO, MONO, TOP_BOTTOM, LEFT_RIGHT, VR180, HALF_SPHERE)
 
 
 @dataclass(frozen=True)
@@ -128,6 +137,11 @@ class StabilizerConfig(Checked):
         'calibrated in fisheye.*, or one (fisheye); a whole sphere of another aspect than 2:1; '
         'the part of a sphere in crop.*; six faces of a cube 3x2, 6x1, 1x6 or 4x3 (cubemap), or '
         'as YouTube has them', choices=PROJECTIONS)
+    layout: str = option(
+        AUTO, "Where an equirectangular image holds the sphere: as a video's metadata say, else "
+        'it is the sphere (auto); one sphere whatever they say (mono); two of them for two eyes, '
+        'of which the left one is used (top_bottom, left_right); two front halves (vr180); one '
+        '(half_sphere)', choices=PICTURE_LAYOUTS)
     fisheye: FisheyeConfig = FisheyeConfig()
     crop: CropConfig = CropConfig()
     cubemap: CubemapConfig = CubemapConfig()
@@ -138,8 +152,8 @@ class NodeConfig(StabilizerConfig):
     """What the ROS node needs to know besides."""
 
     image_transport: str = option(
-        'raw', 'Subscribe to image (raw) or to image/compressed', choices=('raw', 'compressed'),
-        live=False)
+        'raw', 'Subscribe to image (raw), or to image/compressed, image/ffmpeg or image/foxglove',
+        choices=IMAGE_TRANSPORTS, live=False)
     stabilized_frame: str = option(
         'stabilized_optical', 'frame_id of the world in which the camera turns: optical axes, '
         "the camera's own at the first image or at the last reset", live=False)

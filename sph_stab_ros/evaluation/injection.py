@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Image, Mask, Raster
 from sph_stab_ros.geometry.equirect import bearing_grid, pad_sphere, pixels_from_bearings
-from sph_stab_ros.geometry.masks import load_mask
+from sph_stab_ros.geometry.masks import common, load_mask
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.imu import ImuSample
@@ -133,7 +133,10 @@ class ShakenStabilizer:
         """Process a Frame twice; return the StabilizedFrame of the shaken one."""
         R_camera_shaken, image = self._R_camera_shaken[len(self._R_world_camera)], frame.image
         self._R_world_camera.append(self._clip.process(frame).R_world_camera)
-        world = load_mask(self._body, image.shape[1])
+        width = image.shape[1]
+        # What is not seen stays black, too.
+        world = common(load_mask(self._body, width),
+                       None if frame.layout is None else frame.layout.seen(width))
         image = (turned(image, R_camera_shaken) if world is None else
                  turned_world(image, R_camera_shaken, world))
         return self._shaken.process(replace(frame, source=image))

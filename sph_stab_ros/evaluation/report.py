@@ -8,9 +8,10 @@
 
 """The lines that ``evaluate`` prints."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
+from sph_stab_ros.command_line.columns import in_columns
 from sph_stab_ros.evaluation.alignment import Alignment
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
 
@@ -46,23 +47,16 @@ def _table(figures: Mapping[str, Figures]) -> Iterator[str]:
     groups = (sum(widths[i:i + 3]) + 4 for i in (1, 4, 7))
     titles = ('mean absolute', 'geodesic', 'per frame')
     yield '  '.join((widths[0] * ' ', *map(str.center, titles, groups))).rstrip()
-    yield from _in_columns(rows)
+    yield from in_columns(rows)
 
 
 def _table_over_time(figures: Mapping[str, Figures]) -> Iterator[str]:
     times_s = next(iter(figures.values()))['over_time']['time_s']
     yield 'geodesic [deg] after'
-    yield from _in_columns([
+    yield from in_columns([
         ('', *(f'{time_s:.0f} s' for time_s in times_s)),
         *((name, *(f'{error:.3f}' for error in one['over_time']['geodesic_deg']))
           for name, one in figures.items())])
-
-
-def _in_columns(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Yield lines of rows of cells, the first to the left."""
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    for name, *cells in rows:
-        yield '  '.join((name.ljust(widths[0]), *map(str.rjust, cells, widths[1:]))).rstrip()
 
 
 def describe(alignment: Alignment, mount_given: bool) -> Figures:

@@ -32,12 +32,13 @@ from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA, R_CAMERA_BODY
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
-from sph_stab_ros.tracking import TrackingStatus
+from sph_stab_ros.tracking import make_tracker, MakeTracker, TrackingStatus
 
 # Passes on the frames that the estimator of a name is given, and may tell of it.
 Progress: TypeAlias = Callable[[str, Iterator[Frame]], Iterable[Frame]]
@@ -147,8 +148,9 @@ def _roll_pitch_yaw_deg(R_first_body: Rotation) -> Vectors:
 class Run:
     """A Stabilizer that keeps the orientations it finds, and how long each took."""
 
-    def __init__(self, config: StabilizerConfig) -> None:
-        self._stabilizer = Stabilizer(config)
+    def __init__(self, config: StabilizerConfig,
+                 make_tracker: MakeTracker = make_tracker) -> None:
+        self._stabilizer = Stabilizer(config, make_tracker)
         self._stamps_ns: list[int] = []
         self._rotations: list[Rotation] = []
         self._times_s: list[float] = []
@@ -195,12 +197,12 @@ def evaluate_against_truth(
         recording: Recording, configs: Mapping[str, StabilizerConfig], truth: Trajectory,
         R_body_camera: Rotation | None = None, clock_offset_ns: int | None = 0,
         max_frames: int | None = None, progress: Progress = lambda name, frames: frames,
-        imu_topic: str | None = None
+        imu_topic: str | None = None, watch: PictureWatch | None = None
         ) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
 
-    Each is fed the samples of an IMU where ``imu_topic`` names one.
+    Each is fed the samples of an IMU where ``imu_topic`` names one; ``watch`` sees the pictures.
 
     Mount and clock offset, where they are None, are those that the estimator gives which follows
     the truth best: they belong to the recording, and a bad estimator must neither suffer from nor
@@ -211,7 +213,8 @@ def evaluate_against_truth(
         runs[name] = Run(config)
         stabilize_recording(recording, runs[name], max_frames=max_frames,
                             progress=lambda frames: progress(name, frames),
-                            imu=RecordedImu(recording, imu_topic) if imu_topic else None)
+                            imu=RecordedImu(recording, imu_topic) if imu_topic else None,
+                            watch=watch)
     found, failures = [], []
     for run in runs.values():
         try:

@@ -7,16 +7,17 @@
 # language governing permissions and limitations under the License.
 
 """
-A recording of two fisheye circles, read as equirectangular pictures.
+A recording of two fisheye circles, two eyes or a part of the sphere, read as spheres.
 
-Injected rotations and figures need those. The circles are stitched, that is joined into one
-sphere; nothing is turned or stabilised here.
+Injected rotations and figures need those. Circles are stitched, that is joined into one sphere, of
+two eyes one is taken; nothing is turned or stabilised here.
 """
 
 from collections import Counter
 from collections.abc import Generator
 from contextlib import suppress
 from dataclasses import replace
+import logging
 
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +27,11 @@ from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionEr
 from sph_stab_ros.geometry.warp import equirect_warp
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_watch import PictureWatch
+from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.recording.base import Recording, SkipLog
+
+logger = logging.getLogger(__name__)
 
 
 class Stitched:
@@ -38,13 +43,17 @@ class Stitched:
     recording
     config
         What its pictures are.
+    watch : PictureWatch, optional
+        Looks at them; one of its own by default.
 
     """
 
-    def __init__(self, recording: Recording, config: StabilizerConfig) -> None:
+    def __init__(self, recording: Recording, config: StabilizerConfig,
+                 watch: PictureWatch | None = None) -> None:
         self._recording = recording
         self._config = config
         self._skip_log = SkipLog(recording.name)
+        self._watch = watch or PictureWatch(config.projection)
         self.name = recording.name
         self.topics = recording.topics
         self.image_topic = recording.image_topic
@@ -73,6 +82,10 @@ class Stitched:
                 self._skip_log.add(error.reason, error)
 
     def _stitched(self, frame: Frame) -> Frame:
+        frame = as_sphere(frame, self._config)
+        hint = self._watch.look(frame)
+        if hint:
+            logger.warning('%s: %s', self.name, hint)
         projection = projection_of(frame.size_wh, self._config)
         if isinstance(projection, Equirect):
             return frame

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Bearings, Faces, Grey, Mask, Pixels, Plane, Raster
 from sph_stab_ros.geometry.equirect import bearing_grid
-from sph_stab_ros.geometry.projection import bend, bent_cells, Picture, to_grey
+from sph_stab_ros.geometry.projection import bend, bent_cells, Picture
 from sph_stab_ros.geometry.warp import equirect_warp
 
 # Pictures are reduced for a grey sphere so much smaller.
@@ -86,11 +86,10 @@ class PixelMap(Protocol):
         """Return the picture of a Frame as a grey sphere (width / 2, width)."""
         scale = width / self.sphere_width
         if scale > MIN_REDUCTION:
-            return equirect_warp(width)(to_grey(frame.image), Rotation.identity(), self)
+            return equirect_warp(width)(frame.grey(), Rotation.identity(), self)
         # What is left out of a picture much finer would flicker.
         size_wh = round(self.size_wh[0] * scale), round(self.size_wh[1] * scale)
-        grey = cv2.resize(
-            to_grey(frame.at_least(size_wh[0])), size_wh, interpolation=cv2.INTER_AREA)
+        grey = cv2.resize(frame.grey(size_wh[0]), size_wh, interpolation=cv2.INTER_AREA)
         return equirect_warp(width)(grey, Rotation.identity(), self.resized(size_wh))
 
     def seen(self, width: int) -> Mask | None:

@@ -22,14 +22,10 @@ TOLERANCE_PX = 0.1
 
 
 class Picture(Protocol):
-    """What a Projection asks of a Frame, to make it grey."""
+    """What a Projection asks of a Frame, to make it a grey sphere."""
 
-    @property
-    def image(self) -> Image:
-        """Return the whole picture."""
-
-    def at_least(self, width: int) -> Image:
-        """Return the picture, or a smaller one of it that is as wide as this."""
+    def grey(self, width: int = 0) -> Grey:
+        """Return the picture in grey; a smaller one, at least as wide as this, will do."""
 
 
 class Projection(Protocol):
@@ -111,7 +107,7 @@ class Equirect:
 
     def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey one (width / 2, width)."""
-        return to_grey(frame.at_least(width), width)
+        return to_grey(frame.grey(width), width)
 
     def seen(self, width: int) -> Mask | None:
         """Return None: the whole sphere is seen."""

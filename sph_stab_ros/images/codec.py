@@ -7,14 +7,17 @@
 # language governing permissions and limitations under the License.
 
 """
-sensor_msgs Image and CompressedImage to numpy and back, without ROS.
+What messages of images hold, to numpy and back, without ROS.
 
-Messages are used by their field names only, so that those of rclpy and those of a bag reader
-both work.
+They are sensor_msgs Image and CompressedImage, ffmpeg_image_transport_msgs FFMPEGPacket and
+foxglove_msgs CompressedVideo, used by their field names only, so that those of rclpy and those of
+a bag reader both work. A picture that needs others before it (H.264, H.265, AV1) is decoded by a
+MessageDecoder, which remembers them; all else is here.
 """
 
 from array import array
 from collections.abc import Mapping
+import re
 from typing import Any
 
 import cv2
@@ -22,11 +25,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.image_error import ImageError as ImageError
 from sph_stab_ros.images.raw import image_from_raw
 
 JPEG_QUALITY = 90
 JPEG, PNG = 'JPEG', 'PNG'
+SIGNATURES = {b'\xff\xd8': JPEG, b'\x89PNG\r\n\x1a\n': PNG}
+# In what senders write of the format: names of formats, encoders and decoders, with other words.
+VIDEO = re.compile(
+    r'(?P<h264>h\.?264|x264|avc)|(?P<h265>h\.?265|x265|hevc)|(?P<av1>av-?0?1)', re.IGNORECASE)
 
 # Less than a block of pixels takes, but enough for a decoder to see the end of the last one.
 BEHIND_SCAN = bytes(16)
@@ -36,12 +44,49 @@ MISSING_GREY = 128
 
 def image_from_message(msg: Any) -> Image:
     """
-    Return the picture (H, W, 3) BGR or (H, W) grey, uint8, of an Image or CompressedImage message.
+    Return the picture (H, W, 3) BGR or (H, W) grey, uint8, of a message that holds a whole one.
 
     The array may share its memory with the message and is not to be written to. ImageError where
     the message is not a whole picture.
     """
-    return image_from_raw(msg) if hasattr(msg, 'encoding') else image_from_compressed(msg.data)
+    return image_from_raw(msg) if is_raw(msg) else decoded(*file_in(msg))
+
+
+def is_raw(msg: Any) -> bool:
+    """Tell whether a message is an Image."""
+    return hasattr(msg, 'step')
+
+
+def video_codec(msg: Any) -> str | None:
+    """Return 'h264', 'h265' or 'av1' where that is what a message holds."""
+    if is_raw(msg) or kind_of_file(bytes(msg.data[:8])):
+        return None
+    named = VIDEO.search(format_of(msg))
+    return named.lastgroup if named else None
+
+
+def format_of(msg: Any) -> str:
+    """Return what a message that is no Image says of its format."""
+    return str(msg.format if hasattr(msg, 'format') else msg.encoding)
+
+
+def stamp_and_frame(msg: Any) -> tuple[int, str]:
+    """Return the stamp in ns, 0 without, and the frame_id of a message of any type of image."""
+    if hasattr(msg, 'header'):
+        stamp, frame_id = msg.header.stamp, msg.header.frame_id
+    else:
+        stamp, frame_id = msg.timestamp, msg.frame_id
+    return stamp.sec * NS_PER_S + stamp.nanosec, frame_id
+
+
+def file_in(msg: Any) -> tuple[bytes, str]:
+    """Return the file in a message, and whether it is JPEG or PNG; ImageError where neither is."""
+    return whole_file(bytes(msg.data), f"format '{format_of(msg)}'")
+
+
+def kind_of_file(data: bytes) -> str:
+    """Return whether ``data`` begins as JPEG or PNG does, '' where it is neither."""
+    return next((kind for begin, kind in SIGNATURES.items() if data.startswith(begin)), '')
 
 
 def image_from_compressed(data: Any) -> Image:
@@ -53,10 +98,14 @@ def image_from_compressed(data: Any) -> Image:
     return decoded(*whole_file(bytes(data)))
 
 
-def whole_file(data: bytes) -> tuple[bytes, str]:
-    """Return a file with its end marker, and whether it is JPEG or PNG; else raise ImageError."""
-    if data.startswith(b'\xff\xd8'):
-        kind = JPEG
+def whole_file(data: bytes, said: str = 'something else') -> tuple[bytes, str]:
+    """
+    Return a file with its end marker, and whether it is JPEG or PNG; else raise ImageError.
+
+    What is ``said`` of it is told where it is neither.
+    """
+    kind = kind_of_file(data)
+    if kind == JPEG:
         # Neither marker occurs within a scan, and a thumbnail precedes the last scan.
         scan = data.rfind(START_OF_SCAN)
         whole = data.rfind(END_OF_IMAGE) > scan > 0
@@ -67,10 +116,10 @@ def whole_file(data: bytes) -> tuple[bytes, str]:
             data = padded if len(data) - len(padded) > len(BEHIND_SCAN) else data
             whole = is_whole_scan(data, scan)
             data += END_OF_IMAGE
-    elif data.startswith(b'\x89PNG\r\n\x1a\n'):
-        kind, whole = PNG, b'IEND' in data[-64:]
+    elif kind == PNG:
+        whole = b'IEND' in data[-64:]
     else:
-        raise ImageError('not JPEG or PNG', f'{len(data)} bytes of something else')
+        raise ImageError(f'not {JPEG} or {PNG}', f'{len(data)} bytes of {said}')
     if not whole:
         raise ImageError(f'truncated {kind}', f'{len(data)} bytes without the end marker')
     return data, kind

@@ -19,3 +19,10 @@ class ImageError(ValueError):
     def __init__(self, reason: str, detail: str) -> None:
         super().__init__(f'{reason}: {detail}')
         self.reason = reason
+
+
+class DecoderMissing(ImageError):
+    """Pictures that could be used, were a decoder installed; ``why`` says which and how."""
+
+    def __init__(self, name: str, why: str) -> None:
+        super().__init__(f'no decoder of {name}', f'{name} in messages {why}')

@@ -13,7 +13,8 @@ from struct import error, unpack_from
 
 import cv2
 
-from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.geometry.arrays import Grey, Image
+from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.codec import decoded, ImageError, JPEG
 
 # By how much a decoder can reduce on the way, which leaves out most of its work.
@@ -47,17 +48,18 @@ class JpegFile:
         """Return the whole picture, (H, W, 3) uint8 in BGR order or (H, W); ImageError without."""
         return decoded(self._data, JPEG)
 
-    def at_least(self, width: int) -> Image:
+    def grey(self, width: int = 0) -> Grey:
         """
-        Return the picture, a smaller and grey one where nobody wanted the whole so far.
+        Return the picture in grey, a smaller one at least as wide as this if it is not decoded.
 
-        Where it cannot be smaller it is the whole: leaving out the colour alone saves little, and
-        a file's own grey is rounded otherwise than that of its colours, by which an orientation
-        would depend on whether anybody looks at the picture.
+        Where it cannot be smaller it is made of the colours: leaving these out saves little, and
+        a file's own grey is rounded otherwise, by which an orientation would depend on whether
+        anybody looks at the picture.
         """
-        reduction = next((one for one in REDUCED_GREY if self.size_wh[0] >= one * width), None)
+        reduction = next(
+            (one for one in REDUCED_GREY if width and self.size_wh[0] >= one * width), None)
         if reduction is None or 'image' in vars(self):
-            return self.image
+            return to_grey(self.image)
         return decoded(self._data, JPEG, REDUCED_GREY[reduction])
 
 

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import logging
 from pathlib import Path
 import signal
-import socket
+from ssl import SSLContext, SSLError
 import sys
 from typing import TYPE_CHECKING
 
@@ -32,14 +32,23 @@ from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.operator.addresses import own_address
 
 if TYPE_CHECKING:
-    from aiohttp.web import AppRunner
+    from sph_stab_ros.operator.listening import Listener
     from sph_stab_ros.operator.server import OperatorServer
 
 PORT = 8360
 LOOPBACK = '127.0.0.1'
+# What is said of optional dependencies.
+MISSING = {'aiohttp': 'this needs aiohttp',
+           'cryptography': '--host needs --certificate, --insecure, or cryptography to make a '
+                           'certificate'}
 LOG = logging.getLogger('operator')
+
+
+class Failure(Exception):
+    """What keeps the server from starting, in one line."""
 
 
 def arguments(argv: Sequence[str]) -> Namespace:
@@ -54,6 +63,14 @@ def arguments(argv: Sequence[str]) -> Namespace:
                         help=f'0 for any that is free (default: {PORT}, or any if that is taken)')
     parser.add_argument('--token-file', type=Path, metavar='FILE',
                         help='file with the token to ask for, instead of a new one at each start')
+    parser.add_argument('--certificate', type=Path, metavar='FILE',
+                        help='serve https with this certificate chain (PEM) instead of one of our '
+                             'own')
+    parser.add_argument('--key', type=Path, metavar='FILE',
+                        help="the certificate's key, if that is not in the same file")
+    parser.add_argument('--insecure', action='store_true',
+                        help='serve http also beyond this machine: everybody on the way can see '
+                             'the pictures and the token')
     parser.add_argument('--browsers', type=int, default=5, metavar='N',
                         help='how many may look at the same time (default: %(default)s)')
     parser.add_argument('--stabilizer', default='stabilizer', metavar='NAME',
@@ -66,6 +83,10 @@ def arguments(argv: Sequence[str]) -> Namespace:
         parser.error('--port lies within 0 and 65535')
     if args.browsers < 1:
         parser.error('--browsers must be positive')
+    if args.insecure and args.certificate:
+        parser.error('--insecure leaves no use for --certificate')
+    if args.key and not args.certificate:
+        parser.error('--key goes with --certificate')
     args.token = None
     if args.token_file:
         try:
@@ -91,13 +112,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         asyncio.run(serve(args))
     except ImportError as error:
-        if error.name != 'aiohttp':
+        if error.name not in MISSING:
             raise
-        print("operator: this needs aiohttp: pip install 'sph_stab_ros[operator]' or "
-              'apt install python3-aiohttp', file=sys.stderr)
+        print(f"operator: {MISSING[error.name]}: pip install 'sph_stab_ros[operator]' or "
+              f'apt install python3-{error.name}', file=sys.stderr)
         return 1
     except OSError as error:
         print(f'operator: cannot listen on {args.host}: {error.strerror}', file=sys.stderr)
+        return 1
+    except Failure as failure:
+        print(f'operator: {failure}', file=sys.stderr)
         return 1
     finally:
         rclpy.try_shutdown()
@@ -108,6 +132,8 @@ async def serve(args: Namespace) -> None:
     """Serve the page until SIGINT or SIGTERM."""
     # An optional dependency, missing with a line of its own.
     from sph_stab_ros.operator.access import Access, is_loopback, new_token
+    from sph_stab_ros.operator.encryption import (
+        AUTHORITY_FILE, AUTHORITY_TYPE, encryption)
     from sph_stab_ros.operator.robot import Robot
     from sph_stab_ros.operator.server import OperatorServer
     from sph_stab_ros.ros.diagnostics import ThrottledLog
@@ -118,6 +144,13 @@ async def serve(args: Namespace) -> None:
     for ending_signal in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(ending_signal, ending.set)
     token = args.token or (None if is_loopback(args.host) else new_token())
+    try:
+        tls = encryption(args)
+    except OSError as error:
+        # OpenSSL says neither in which file nor, in plain words, what.
+        what = 'no certificate with its key, unencrypted, in PEM' \
+            if isinstance(error, SSLError) else error.strerror
+        raise Failure(f'no https: {error.filename or args.certificate}: {what}') from None
     robot = Robot(args.stabilizer,
                   lambda picture: loop.call_soon_threadsafe(server.show, picture),
                   args.pictures)
@@ -127,14 +160,21 @@ async def serve(args: Namespace) -> None:
                     ', '.join(map(repr, unknown)))
     server = OperatorServer(robot, Access(args.host, token), ThrottledLog(LOG.warning).warn,
                             args.browsers)
+    if tls and tls.authority_pem:
+        server.offer_file(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
     try:
-        runner = await start(server, args.host, args.port)
+        listener = await start(server, args.host, args.port, tls.context if tls else None)
         spinning = asyncio.create_task(asyncio.to_thread(spin, robot))
-        print(f'operator: {address(args.host, runner.addresses[0][1], token)}', flush=True)
+        base = address(args.host, listener.addresses[0][1], bool(tls))
+        print(f'operator: {base}' + (f'?token={token}' if token else ''), flush=True)
+        if tls and tls.authority_pem:
+            print(f'operator: its certificate has SHA-256 {tls.fingerprint}\n'
+                  f'operator: to trust it, {base}{AUTHORITY_FILE}, with SHA-256 '
+                  f'{tls.authority_fingerprint}', flush=True)
         # Spinning ends by itself only by a fault of our own.
         await asyncio.wait((spinning, asyncio.create_task(ending.wait())),
                            return_when=asyncio.FIRST_COMPLETED)
-        await runner.cleanup()
+        await listener.cleanup()
         rclpy.try_shutdown()
         await spinning
     finally:
@@ -142,15 +182,16 @@ async def serve(args: Namespace) -> None:
             robot.destroy_node()
 
 
-async def start(server: 'OperatorServer', host: str, port: int | None) -> 'AppRunner':
-    """Let the server listen; return its runner. OSError where it cannot."""
+async def start(server: 'OperatorServer', host: str, port: int | None,
+                tls: SSLContext | None) -> 'Listener':
+    """Let the server listen; return where. OSError where it cannot."""
     if port is not None:
-        return await server.start(host, port)
+        return await server.start(host, port, tls)
     try:
-        return await server.start(host, PORT)
+        return await server.start(host, PORT, tls)
     except OSError as error:
         LOG.info('port %d is taken: %s', PORT, error.strerror)
-        return await server.start(host, 0)
+        return await server.start(host, 0, tls)
 
 
 def spin(robot: Node) -> None:
@@ -163,23 +204,12 @@ def spin(robot: Node) -> None:
         pass
 
 
-def address(host: str, port: int, token: str | None) -> str:
-    """Return the URL to open in a browser."""
+def address(host: str, port: int, encrypted: bool) -> str:
+    """Return the URL to open in a browser, without the token."""
     if host in ('0.0.0.0', '::', ''):
         host = own_address()
     name = f'[{host}]' if ':' in host else host
-    return f'http://{name}:{port}/' + (f'?token={token}' if token else '')
-
-
-def own_address() -> str:
-    """Return the address by which others reach this machine, or its name."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            # Nothing is sent: this only asks for the way out. The address is one for examples.
-            probe.connect(('192.0.2.1', 9))
-            return probe.getsockname()[0]
-        except OSError:
-            return socket.gethostname()
+    return f"http{'s' if encrypted else ''}://{name}:{port}/"
 
 
 if __name__ == '__main__':

@@ -46,10 +46,15 @@ class Access:
             raise ValueError('a token is needed where others can connect')
         self.token = token
 
+    def check_host(self, request: web.Request) -> None:
+        """Raise HTTPForbidden where the request is not meant for this machine."""
+        host = host_of(request)
+        if self._local_only and not is_loopback(name_of(host)):
+            raise web.HTTPForbidden(text=f"{host!r} is no name of this machine's own.\n")
+
     def check_page(self, request: web.Request) -> None:
         """Raise HTTPForbidden unless the request may have the page."""
-        if self._local_only and not is_loopback(name_of(request.host)):
-            raise web.HTTPForbidden(text=f"{request.host!r} is no name of this machine's own.\n")
+        self.check_host(request)
         if self.token and not secrets.compare_digest(
                 request.query.get('token', '').encode(), self.token.encode()):
             raise web.HTTPForbidden(
@@ -60,7 +65,9 @@ class Access:
         """Raise HTTPForbidden unless a WebSocket is asked for by our own page."""
         self.check_page(request)
         origin = request.headers.get('Origin', '')
-        if origin not in (f'http://{request.host}', f'https://{request.host}'):
+        # Without encryption of our own a proxy may have added some.
+        schemes = ('https',) if request.secure else ('http', 'https')
+        if origin not in [f'{scheme}://{host_of(request)}' for scheme in schemes]:
             raise web.HTTPForbidden(text=f"the page of {origin!r} is none of this server's\n")
 
 
@@ -107,6 +114,12 @@ class ServerLog(LoggerAdapter):  # type: ignore[type-arg]
             self._warn('no HTTP', f'a request refused: {exc_info.message.splitlines()[0]}')
         else:
             super().exception(msg, *args, exc_info=exc_info, **kwargs)
+
+
+def host_of(request: web.Request) -> str:
+    """Return the host that a request names, '' where it names none."""
+    # aiohttp's own ``host`` looks for a name where there is none, in the event loop if it is old.
+    return request.headers.get('Host', '')
 
 
 def name_of(host: str) -> str:

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable
 from time import monotonic
 
+from sph_stab_ros.operator.listening import Allowance
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import picture_message
 
@@ -33,8 +34,11 @@ class Client:
     most, so that it delays neither others nor itself.
     """
 
-    def __init__(self, name: str | None, clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, name: str | None, page: str = '',
+                 clock: Callable[[], float] = monotonic) -> None:
         self.name = name
+        # What tells a page that comes back from others; '' where it does not say.
+        self.page = page
         # Whether something that it asked for is still being done.
         self.busy = False
         self._clock = clock
@@ -45,7 +49,7 @@ class Client:
         self._undrawn: dict[int, float] = {}
         # When each was drawn, and how long after it was received.
         self._drawn: deque[tuple[float, float]] = deque()
-        self._credit, self._credit_s = BURST, clock()
+        self._allowance = Allowance(MESSAGES_PER_S, BURST, clock)
 
     def offer_picture(self, sequence: int, picture: Picture) -> None:
         """Replace the picture that waits to be sent."""
@@ -76,6 +80,10 @@ class Client:
         now_s = self._clock()
         if sequence in self._undrawn:
             self._drawn.append((now_s, now_s - self._undrawn[sequence]))
+        self.skipped(sequence)
+
+    def skipped(self, sequence: int) -> None:
+        """Note that a picture, or one before it, will not be drawn any more."""
         self._undrawn = {later: received_s for later, received_s in self._undrawn.items()
                          if later > sequence}
         self._wake.set()
@@ -97,7 +105,4 @@ class Client:
 
     def may_speak(self) -> bool:
         """Tell whether one more message is within the rate that a page needs."""
-        now_s = self._clock()
-        self._credit = min(BURST, self._credit + MESSAGES_PER_S * (now_s - self._credit_s)) - 1
-        self._credit_s = now_s
-        return self._credit >= 0
+        return self._allowance.take()

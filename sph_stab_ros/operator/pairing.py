@@ -15,7 +15,7 @@ from threading import Lock
 from time import monotonic
 from typing import TypeAlias
 
-# The node is gone when it is silent for so long; pictures then go out without orientation.
+# The node is gone when pictures come for so long and no orientation; they then go out without.
 SILENCE_S = 1.0
 # A second of pictures at 30 Hz; a node that is slower than that cannot be steered by.
 MAX_WAITING = 32
@@ -99,14 +99,19 @@ class Pairing:
         self._pictures: deque[Picture] = deque(maxlen=MAX_WAITING)
         # An orientation may overtake a picture that has to be encoded first.
         self._orientations: deque[tuple[int, Orientation]] = deque(maxlen=MAX_WAITING)
-        self._heard_s = -SILENCE_S
+        # When the first picture came that the node has not answered by an orientation.
+        self._awaited_s: float | None = None
 
     def add_picture(self, picture: Picture) -> None:
         """Emit a picture whose orientation is known, or that no node looks at; keep others."""
         with self._lock:
             known = [orientation for stamp_ns, orientation in self._orientations
                      if stamp_ns == picture.stamp_ns]
-            if known or self._clock() >= self._heard_s + SILENCE_S:
+            now_s = self._clock()
+            if self._awaited_s is None and not known:
+                self._awaited_s = now_s
+            gone = self._awaited_s is not None and now_s >= self._awaited_s + SILENCE_S
+            if known or gone:
                 self._pictures.clear()
                 self._emit(replace(picture, orientation=known[-1] if known else None))
             else:
@@ -117,7 +122,7 @@ class Pairing:
     def add_orientation(self, stamp_ns: int, orientation: Orientation) -> None:
         """Emit the picture of an orientation; those before it were left out by the node."""
         with self._lock:
-            self._heard_s = self._clock()
+            self._awaited_s = None
             self._orientations.append((stamp_ns, orientation))
             if any(picture.stamp_ns in (stamp_ns, UNKNOWN_NS) for picture in self._pictures):
                 while (picture := self._pictures.popleft()).stamp_ns not in (stamp_ns, UNKNOWN_NS):

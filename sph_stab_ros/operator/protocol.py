@@ -45,6 +45,11 @@ class Drawn:
 
 
 @dataclass(frozen=True)
+class Skipped(Drawn):
+    """The page cannot draw this picture; another one may come."""
+
+
+@dataclass(frozen=True)
 class Look:
     """The operator looks there: the quaternion (x, y, z, w) of ``R_virtual_view``."""
 
@@ -89,10 +94,10 @@ class SetMode:
             raise ProtocolError('mode is not a name')
 
 
-Command: TypeAlias = Drawn | Look | TakeControl | ResetHeading | Level | SetMode
+Command: TypeAlias = Drawn | Skipped | Look | TakeControl | ResetHeading | Level | SetMode
 
 COMMANDS: dict[str, type[Command]] = {
-    'drawn': Drawn, 'look': Look, 'take_control': TakeControl,
+    'drawn': Drawn, 'skipped': Skipped, 'look': Look, 'take_control': TakeControl,
     'reset_heading': ResetHeading, 'level': Level, 'set_mode': SetMode}
 
 

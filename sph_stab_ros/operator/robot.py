@@ -31,7 +31,8 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sph_stab_ros.config import MODES
-from sph_stab_ros.images.codec import encode_jpeg, image_from_message, ImageError
+from sph_stab_ros.images.codec import (
+    encode_jpeg, image_from_message, ImageError, video_codec)
 from sph_stab_ros.operator.operated_robot import RobotError
 from sph_stab_ros.operator.pairing import (
     Pairing, Picture, StampedOrientations, UnitQuaternion)
@@ -254,6 +255,9 @@ class Robot(Node):
 
     def _encode(self, msg: Any, received_s: float) -> None:
         try:
+            if video_codec(msg):
+                raise ImageError('compressed video', 'pages show the pictures of the stabilizer '
+                                 'in its place: --pictures stabilizer')
             # Not numpy's: that would be a view of the message.
             data = bytes(msg.data) if hasattr(msg, 'format') else \
                 encode_jpeg(image_from_message(msg), JPEG_QUALITY).tobytes()

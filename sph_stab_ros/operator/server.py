@@ -12,40 +12,25 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from dataclasses import asdict
-from importlib import resources
 import logging
-from mimetypes import guess_type
+from ssl import SSLContext
 from typing import Any
-from weakref import WeakSet
 
-from aiohttp import web, WSCloseCode, WSMsgType
+from aiohttp import web, WSCloseCode
 
-from sph_stab_ros.operator.access import Access, ConnectionGuard, ServerLog
+from sph_stab_ros.operator.access import Access, ConnectionGuard, host_of, ServerLog
+from sph_stab_ros.operator.browser_socket import BrowserSocket, CLOSING_S
 from sph_stab_ros.operator.client import Client
+from sph_stab_ros.operator.listening import Listener
 from sph_stab_ros.operator.operated_robot import OperatedRobot, RobotError
+from sph_stab_ros.operator.page_files import headers, PAGE, page_files
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import (
     Command, Drawn, Level, Look, MAX_MESSAGE_BYTES, parse_command, ProtocolError, ResetHeading,
-    SetMode, TakeControl, text_message)
+    SetMode, Skipped, TakeControl, text_message)
 
 MAX_CLIENTS = 5
 STATE_PERIOD_S = 0.2
-# A browser that does not answer in this time is gone.
-HEARTBEAT_S = 5.0
-# One that is told to go need not answer.
-CLOSING_S = 1.0
-PAGE = 'index.html'
-# Nothing from elsewhere, and nobody shows this page within theirs.
-HEADERS = {
-    'Content-Security-Policy':
-        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
-        "connect-src 'self' ws://{host} wss://{host}; base-uri 'none'; form-action 'none'; "
-        "frame-ancestors 'none'",
-    'X-Content-Type-Options': 'nosniff',
-    # The address holds the token.
-    'Referrer-Policy': 'no-referrer',
-    'Cache-Control': 'no-cache',
-}
 NOT_IN_CONTROL = 'Another operator has control: take it first.'
 
 
@@ -72,14 +57,17 @@ class OperatorServer:
         self._max_clients = max_clients
         self._files = page_files()
         self._guard = ConnectionGuard()
-        self._sockets: WeakSet[web.WebSocketResponse] = WeakSet()
-        self._clients: list[Client] = []
+        self._browsers: dict[Client, BrowserSocket] = {}
         self._in_control: Client | None = None
         self._picture_count = 0
         self._tasks: set[asyncio.Task[None]] = set()
 
-    async def start(self, host: str, port: int) -> web.AppRunner:
-        """Listen; return the aiohttp runner, whose ``addresses`` tell where."""
+    def offer_file(self, name: str, body: bytes, content_type: str) -> None:
+        """Let a file be fetched without token."""
+        self._files[name] = body, content_type
+
+    async def start(self, host: str, port: int, tls: SSLContext | None = None) -> Listener:
+        """Listen, encrypted where there is a context for it; return the Listener."""
         app = web.Application(client_max_size=MAX_MESSAGE_BYTES)
         app.router.add_get('/', self._get_page)
         app.router.add_get('/socket', self._get_socket)
@@ -89,16 +77,16 @@ class OperatorServer:
         # Its log of requests would show the token.
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=CLOSING_S,
                                logger=ServerLog(logging.getLogger(__name__), self._warn))
-        await runner.setup()
-        await web.TCPSite(runner, host, port).start()
-        assert runner.server is not None
-        self._run(self._tell_state(runner.server))
-        return runner
+        listener = await Listener.start(
+            runner, host, port, tls,
+            lambda name: self._warn('dropped', f'{name} dropped: too much data'))
+        self._run(self._tell_state(listener))
+        return listener
 
     def show(self, picture: Picture) -> None:
         """Send a Picture to all browsers that are ready for it."""
         self._picture_count += 1
-        for client in self._clients:
+        for client in self._browsers:
             client.offer_picture(self._picture_count, picture)
 
     def _run(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
@@ -115,7 +103,12 @@ class OperatorServer:
         return self._file(PAGE)
 
     async def _get_file(self, request: web.Request) -> web.Response:
-        return self._file(request.match_info['name'])
+        self._check(self._access.check_host, request)
+        name = request.match_info['name']
+        if name == PAGE:
+            # It has an address of its own, and needs the token.
+            raise web.HTTPNotFound
+        return self._file(name)
 
     def _check(self, check: Callable[[web.Request], None], request: web.Request) -> None:
         """Let a check raise HTTPForbidden, with a line in the log."""
@@ -132,75 +125,80 @@ class OperatorServer:
         return web.Response(body=body, content_type=content_type, charset='utf-8')
 
     async def _add_headers(self, request: web.Request, response: web.StreamResponse) -> None:
-        # Whoever sends a strange host gets a policy that names none.
-        host = request.host if all(c.isalnum() or c in '.:-[]' for c in request.host) else ''
-        for name, value in HEADERS.items():
-            response.headers[name] = value.format(host=host)
+        response.headers.update(headers(host_of(request)))
         if not isinstance(response, web.WebSocketResponse):
             # Kept open, nobody could tell it from an idle one.
             response.force_close()
+            # aiohttp has said what becomes of it before, if it is old.
+            response.headers['Connection'] = 'close'
 
     async def _get_socket(self, request: web.Request) -> web.WebSocketResponse:
         self._check(self._access.check_socket, request)
         self._guard.let_stay(request)
-        socket = web.WebSocketResponse(
-            heartbeat=HEARTBEAT_S, max_msg_size=MAX_MESSAGE_BYTES,
-            compress=False)
-        self._sockets.add(socket)
-        await socket.prepare(request)
-        if len(self._clients) >= self._max_clients:
+        client = Client(request.remote, request.query.get('page', ''))
+        socket = BrowserSocket(client.may_speak)
+        response = await socket.accept(request)
+        former = self._former(client)
+        if former:
+            self._browsers.pop(former).abort()
+        if len(self._browsers) >= self._max_clients:
             self._warn('full', f'{request.remote} refused: {self._max_clients} browsers are here')
-            await close(socket, WSCloseCode.TRY_AGAIN_LATER, 'full')
-            return socket
-        await self._serve(socket, Client(request.remote))
-        return socket
+            await socket.close(WSCloseCode.TRY_AGAIN_LATER, 'full')
+            return response
+        self._browsers[client] = socket
+        if self._in_control in (None, former):
+            self._in_control = client
+        await self._serve(socket, client)
+        return response
+
+    def _former(self, client: Client) -> Client | None:
+        """Return who this one was before its connection went silent; the page names itself."""
+        return next((other for other in self._browsers if other.page and
+                     other.page == client.page), None)
 
     # One browser.
 
-    async def _serve(self, socket: web.WebSocketResponse, client: Client) -> None:
+    async def _serve(self, socket: BrowserSocket, client: Client) -> None:
         """Talk to a browser until it goes, or has to."""
-        self._clients.append(client)
-        if self._in_control is None:
-            self._in_control = client
         self._robot.watch(True)
         self._tell_all()
-        sender = self._run(self._send(socket, client))
+        tasks = self._run(self._send(socket, client)), self._run(self._watch(socket, client))
         try:
-            await self._listen(socket, client)
+            async for text in socket.texts():
+                self._obey(client, parse_command(text))
+        except ConnectionError:
+            # It went while it was being answered.
+            pass
         except ProtocolError as error:
             self._warn('dropped', f'{client.name} dropped: {error}')
-            sender.cancel()
-            await close(socket, WSCloseCode.POLICY_VIOLATION, str(error))
+            await socket.close(WSCloseCode.POLICY_VIOLATION, str(error))
         finally:
-            sender.cancel()
-            self._clients.remove(client)
+            for task in tasks:
+                task.cancel()
+            self._browsers.pop(client, None)
             if self._in_control is client:
                 self._in_control = None
-            self._robot.watch(bool(self._clients))
+            self._robot.watch(bool(self._browsers))
             self._tell_all()
 
-    async def _send(self, socket: web.WebSocketResponse, client: Client) -> None:
+    async def _send(self, socket: BrowserSocket, client: Client) -> None:
         try:
             async for message in client.messages():
-                if isinstance(message, str):
-                    await socket.send_str(message)
-                else:
-                    await socket.send_bytes(message)
+                await socket.send(message)
         except ConnectionError:
             pass
 
-    async def _listen(self, socket: web.WebSocketResponse, client: Client) -> None:
-        async for message in socket:
-            if message.type is not WSMsgType.TEXT:
-                raise ProtocolError('not a text')
-            if not client.may_speak():
-                raise ProtocolError('too many messages')
-            self._obey(client, parse_command(message.data))
-        if socket.exception():
-            self._warn('dropped', f'{client.name} dropped: {socket.exception()}')
+    async def _watch(self, socket: BrowserSocket, client: Client) -> None:
+        """Cut the connection of a browser that does not read what it is sent."""
+        with suppress(ConnectionError):
+            await socket.wait_for_silence()
+            self._warn('silent', f'{client.name} dropped: no answer')
+            socket.abort()
 
     def _obey(self, client: Client, command: Command) -> None:
-        if isinstance(command, Drawn):
+        if isinstance(command, Skipped):
+            client.skipped(command.sequence)
+        elif isinstance(command, Drawn):
             client.drawn(command.sequence)
         elif isinstance(command, TakeControl):
             self._in_control = client
@@ -241,19 +239,19 @@ class OperatorServer:
     def _tell_all(self) -> None:
         """Tell everybody how things are."""
         robot = asdict(self._robot.state)
-        for client in self._clients:
+        for client in self._browsers:
             rate_hz, latency_s = client.rate_and_latency()
             control = 'yours' if self._in_control is client else (
                 'taken' if self._in_control else 'free')
             client.offer_text('state', text_message(
-                'state', robot=robot, control=control, browsers=len(self._clients),
+                'state', robot=robot, control=control, browsers=len(self._browsers),
                 rate_hz=round(rate_hz, 1),
                 latency_ms=None if latency_s is None else round(1e3 * latency_s)))
 
-    async def _tell_state(self, server: web.Server) -> None:
+    async def _tell_state(self, listener: Listener) -> None:
         while True:
             self._tell_all()
-            if closed := self._guard.close_idle(server.connections):
+            if closed := self._guard.close_idle(listener.connections):
                 self._warn('idle', f'{closed} connections closed that led to nothing')
             await asyncio.sleep(STATE_PERIOD_S)
 
@@ -261,17 +259,4 @@ class OperatorServer:
         for task in tuple(self._tasks):
             task.cancel()
         await asyncio.gather(*(
-            close(socket, WSCloseCode.GOING_AWAY) for socket in tuple(self._sockets)))
-
-
-async def close(socket: web.WebSocketResponse, code: int, text: str = '') -> None:
-    """Close a WebSocket, whose other end may not even read."""
-    with suppress(asyncio.TimeoutError):
-        await asyncio.wait_for(socket.close(code=code, message=text.encode()), CLOSING_S)
-
-
-def page_files() -> dict[str, tuple[bytes, str | None]]:
-    """Return name -> (bytes, content type) of the page's files."""
-    folder = resources.files('sph_stab_ros.operator') / 'page'
-    return {path.name: (path.read_bytes(), guess_type(path.name)[0])
-            for path in folder.iterdir() if path.is_file()}
+            socket.close(WSCloseCode.GOING_AWAY) for socket in tuple(self._browsers.values())))

@@ -8,16 +8,18 @@
 
 """Recordings in and out: rosbags of either generation, and video files, without ROS."""
 
+import math
 from pathlib import Path
 
-from sph_stab_ros.recording.base import decoded_frames, Recording, RecordingError
+from sph_stab_ros.recording.base import decoded_frames, Recording, RecordingError, Stretch
 
 __all__ = ['decoded_frames', 'open_recording', 'Recording', 'RecordingError']
 
 
-def open_recording(path: str | Path, image_topic: str | None = None) -> Recording:
+def open_recording(path: str | Path, image_topic: str | None = None, start_s: float = 0.,
+                   end_s: float = math.inf) -> Recording:
     """
-    Return the Recording at ``path``.
+    Return the Recording at ``path``, or a stretch of its pictures.
 
     Parameters
     ----------
@@ -26,8 +28,12 @@ def open_recording(path: str | Path, image_topic: str | None = None) -> Recordin
         is told by its content, not by its name.
     image_topic
         Where to find the images in a bag that has several image topics.
+    start_s, end_s
+        The time of the first picture to read and that of the first one not to, in seconds from the
+        recording's first picture on. Videos are decoded from the key picture before.
 
     """
+    stretch = Stretch(start_s, end_s)
     path = Path(path)
     if not path.exists():
         raise RecordingError(f'{path} does not exist')
@@ -35,8 +41,8 @@ def open_recording(path: str | Path, image_topic: str | None = None) -> Recordin
     from sph_stab_ros.recording.containers import is_bag
     if is_bag(path):
         from sph_stab_ros.recording.bag import BagRecording
-        return BagRecording(path, image_topic)
+        return BagRecording(path, image_topic, stretch)
     if image_topic is not None:
         raise RecordingError(f'{path} is not a bag and has no topic {image_topic}')
     from sph_stab_ros.recording.video import VideoRecording
-    return VideoRecording(path)
+    return VideoRecording(path, stretch)

@@ -10,39 +10,35 @@
 
 from collections import Counter
 from collections.abc import Generator, Iterator
-from functools import cache
 from itertools import islice
 import logging
 from pathlib import Path
-import sys
-from typing import Any
+from typing import Any, NamedTuple
 
-from rosbags.typesys import get_typestore, Stores
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
-
-from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.images.codec import ImageError
-from sph_stab_ros.images.frame import Frame, frame_from_message
+from sph_stab_ros.images.codec import ImageError, stamp_and_frame
+from sph_stab_ros.images.frame import Frame, PictureSource
+from sph_stab_ros.images.image_error import DecoderMissing
+from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.times import PictureClock
-from sph_stab_ros.recording.base import RecordingError, SkipLog
+from sph_stab_ros.images.video.decoder import NO_KEY
+from sph_stab_ros.images.video.picture import VideoPicture
+from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.containers import Channel, Containers
-from sph_stab_ros.recording.containers.kinds import ZSTD
-from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times
+from sph_stab_ros.recording.message_types import decoded, IMAGE_TYPES, is_known
+from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times, within
 
 logger = logging.getLogger(__name__)
 
-IMAGE_TYPES = ('sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage')
-# How the messages in a channel are encoded: the definitions of types, and what decodes by them.
-ENCODINGS = {'cdr': (Stores.ROS2_JAZZY, 'deserialize_cdr'),
-             'ros1': (Stores.ROS1_NOETIC, 'deserialize_ros1')}
-types_of = cache(get_typestore)
 # Drivers that stamp with zero until they have the time have it by then.
 MAX_UNSTAMPED = 300
+
+
+class Taken(NamedTuple):
+    """When a picture was taken, and by which camera."""
+
+    stamp: Stamp
+    frame_id: str
 
 
 class BagRecording:
@@ -54,15 +50,17 @@ class BagRecording:
     that was cut short or damaged all that is whole is read.
     """
 
-    def __init__(self, path: Path, image_topic: str | None = None) -> None:
+    def __init__(self, path: Path, image_topic: str | None = None, stretch: Stretch = Stretch()
+                 ) -> None:
         self.path = path
+        self._stretch = stretch
         self.name = path.name
         self._containers = Containers(path)
         counts: Counter[str] = Counter()
         self.topics: dict[str, str] = {}
         for channel, count in self._containers.channels.items():
             # A damaged definition may contradict a whole one.
-            if channel.topic not in self.topics or is_standard(channel.msgtype, channel.encoding):
+            if channel.topic not in self.topics or is_known(channel.msgtype, channel.encoding):
                 self.topics[channel.topic] = channel.msgtype
             counts[channel.topic] += count
         if not self.topics:
@@ -81,24 +79,41 @@ class BagRecording:
     def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames of the image topic; header stamps, or times of receipt without any."""
         self._skip_log = SkipLog(self.name)
-        first, stamped = peeked(self._stamped())
+        first, pictures = peeked(self._pictures())
         known = first_stamp([first[0]]) if first else None
         if first and known is None:
             # Only here, as it takes to read the beginning twice.
-            known = first_stamp(stamp for stamp, _ in islice(self._stamped(), MAX_UNSTAMPED))
-        for times, msg in with_times(self.name, stamped, PictureClock(first=known)):
-            try:
-                frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
-            except ImageError as error:
-                self._skip_log.add(error.reason, error)
-            else:
-                yield frame
+            known = first_stamp(taken.stamp for taken, _ in islice(self._taken(), MAX_UNSTAMPED))
+        timed = with_times(self.name, pictures, PictureClock(first=known))
+        for times, (frame_id, source) in within(self.name, timed, self._stretch):
+            colour = source.colour if isinstance(source, VideoPicture) else None
+            yield Frame(source, times.stamp_ns, frame_id, times, colour=colour)
 
-    def _stamped(self) -> Iterator[tuple[Stamp, Any]]:
-        """Yield the messages of the image topic with their stamps."""
+    def _taken(self) -> Iterator[tuple[Taken, Any]]:
+        """Yield the messages of the image topic, and when they were taken."""
         for received_ns, msg in self.messages(self._images):
-            stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
-            yield Stamp(stamp_ns or None, received_ns), msg
+            stamp_ns, frame_id = stamp_and_frame(msg)
+            yield Taken(Stamp(stamp_ns or None, received_ns), frame_id), msg
+
+    def _pictures(self) -> Iterator[tuple[Stamp, tuple[str, PictureSource]]]:
+        """Yield the pictures of the image topic in the order of presentation."""
+        decoder: MessageDecoder[Taken] = MessageDecoder(
+            lambda text: logger.warning('%s: %s', self.name, text))
+
+        def outcomes() -> Iterator[tuple[Taken, PictureSource | ImageError]]:
+            for taken, msg in self._taken():
+                yield from decoder.decode(msg, taken, taken.stamp)
+            yield from decoder.flush()
+        try:
+            for taken, outcome in outcomes():
+                if isinstance(outcome, ImageError):
+                    # The decoder tells how many there were of these.
+                    self._skip_log.add(
+                        outcome.reason, outcome, is_told=outcome.reason == NO_KEY)
+                else:
+                    yield taken.stamp, (taken.frame_id, outcome)
+        except DecoderMissing as error:
+            raise RecordingError(f'{self.path}: {error}') from None
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield (time of receipt in ns, message) of a topic; messages of rosbags' types."""
@@ -117,7 +132,7 @@ class BagRecording:
         """Yield what is whole of a topic's messages, then warn if that was not all."""
         msgtype = self.topics[topic]
         for channel in self._containers.channels:
-            if channel.topic == topic and not is_standard(msgtype, channel.encoding):
+            if channel.topic == topic and not is_known(msgtype, channel.encoding):
                 raise RecordingError(f'{topic} in {self.path} is of type {msgtype} (encoded as '
                                      f'{channel.encoding}), which is not a standard one')
         count = 0
@@ -150,17 +165,3 @@ class BagRecording:
         """Return the topics and their types in a line."""
         return ', '.join(f'{topic} ({msgtype})' for topic, msgtype in sorted(self.topics.items())
                          ) or 'no topics'
-
-
-def is_standard(msgtype: str, encoding: str) -> bool:
-    """Tell whether ROS's own definitions are enough to decode messages of this type."""
-    return encoding in ENCODINGS and msgtype in types_of(ENCODINGS[encoding][0]).types
-
-
-def decoded(data: bytes, msgtype: str, encoding: str) -> Any:
-    """Return a message, which may be compressed by itself."""
-    store, decode = ENCODINGS[encoding]
-    # The encapsulation that CDR data begin with is never this.
-    if encoding == 'cdr' and data.startswith(ZSTD):
-        data = zstd.decompress(data)
-    return getattr(types_of(store), decode)(data, msgtype)

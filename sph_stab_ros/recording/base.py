@@ -11,8 +11,10 @@
 from collections import Counter
 from collections.abc import Generator, Iterator
 import logging
-from typing import Any, Protocol
+import math
+from typing import Any, NamedTuple, Protocol
 
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
 
@@ -23,9 +25,31 @@ class RecordingError(Exception):
     """A recording that cannot be read or written, said in one line."""
 
 
+class Stretch(NamedTuple):
+    """A part of a recording, in seconds from its first picture on, which is before the end."""
+
+    start_s: float = 0.
+    end_s: float = math.inf
+
+    @property
+    def start_ns(self) -> int:
+        """Return the start in nanoseconds."""
+        return round(self.start_s * NS_PER_S)
+
+    @property
+    def end_ns(self) -> float:
+        """Return the end in nanoseconds, which may be infinite."""
+        return self.end_s * NS_PER_S
+
+    def share(self, count: int, duration_s: float) -> int:
+        """Return how many of so many pictures, spread over a duration, it holds."""
+        inside_s = min(self.end_s, duration_s) - min(self.start_s, duration_s)
+        return round(count * inside_s / duration_s) if duration_s else count
+
+
 class Recording(Protocol):
     """
-    A recorded video, read front to back with constant memory.
+    A recorded video or a stretch of it, read front to back with constant memory.
 
     ``name`` tells it from others; ``topics`` maps topics to message types (none in a video) and
     ``image_topic`` is where the images come from (None in a video);
@@ -71,9 +95,9 @@ class SkipLog:
         self.name = name
         self.counts: Counter[str] = Counter()
 
-    def add(self, reason: str, detail: object) -> None:
-        """Count one; ``detail`` is logged if it is the first for this reason."""
+    def add(self, reason: str, detail: object, is_told: bool = False) -> None:
+        """Count one; ``detail`` is logged if it is the first for this reason and not told yet."""
         self.counts[reason] += 1
-        if self.counts[reason] == 1:
+        if self.counts[reason] == 1 and not is_told:
             logger.warning('%s: picture left out, %s (more of these are only counted)',
                            self.name, detail)

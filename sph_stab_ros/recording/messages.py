@@ -26,6 +26,8 @@ from sph_stab_ros.images.codec import compressed_fields, image_fields, JPEG_QUAL
 
 CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 COMPRESSED_IMAGE = 'sensor_msgs/msg/CompressedImage'
+COMPRESSED_VIDEO = 'foxglove_msgs/msg/CompressedVideo'
+FFMPEG_PACKET = 'ffmpeg_image_transport_msgs/msg/FFMPEGPacket'
 IMAGE = 'sensor_msgs/msg/Image'
 POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 QUATERNION = 'geometry_msgs/msg/QuaternionStamped'

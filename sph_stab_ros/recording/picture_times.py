@@ -12,12 +12,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import chain, islice
 import logging
+import math
 from typing import TypeVar
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
 from sph_stab_ros.images.times import (
     MAX_DELAY_NS, MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock)
+from sph_stab_ros.recording.base import RecordingError, Stretch
 
 logger = logging.getLogger(__name__)
 
@@ -50,6 +52,32 @@ def with_times(name: str, stamped: Iterable[tuple[Stamp, Item]], clock: PictureC
             logger.warning('%s: picture %d: %s (more of these are not told)',
                            name, number, told(times))
         yield times, item
+
+
+def within(name: str, timed: Iterable[tuple[PictureTime, Item]], stretch: Stretch,
+           first_ns: int | None = None) -> Iterator[tuple[PictureTime, Item]]:
+    """
+    Yield those of a recording's pictures, with their times, that are in a Stretch.
+
+    ``first_ns`` is the time of the recording's first picture where these begin later.
+    RecordingError where the recording ends before.
+    """
+    if stretch == Stretch():
+        yield from timed
+        return
+    elapsed_ns, found = 0, False
+    for times, item in timed:
+        first_ns = times.time_ns if first_ns is None else first_ns
+        elapsed_ns = times.time_ns - first_ns
+        if elapsed_ns >= stretch.end_ns:
+            break
+        if elapsed_ns >= stretch.start_ns:
+            found = True
+            yield times, item
+    if not found and first_ns is not None:
+        raise RecordingError(f'{name} has no picture from {stretch.start_s:g} s '
+                             + (f'to {stretch.end_s:g} s' if stretch.end_s < math.inf else 'on')
+                             + f', the last one read is at {elapsed_ns / NS_PER_S:.3f} s')
 
 
 def first_stamp(stamps: Iterable[Stamp]) -> Stamp | None:

@@ -8,61 +8,56 @@
 
 """Pictures out of video files, through PyAV."""
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Generator, Iterator
-from fractions import Fraction
 import logging
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_time import PictureTime, Stamp
+from sph_stab_ros.images.picture_time import PictureTime
 from sph_stab_ros.images.times import PictureClock
-from sph_stab_ros.recording.base import RecordingError, SkipLog
-from sph_stab_ros.recording.picture_times import with_times
+from sph_stab_ros.images.video.picture import side_data_of, tagged_colour, VideoPicture
+from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
+from sph_stab_ros.recording.picture_times import with_times, within
+from sph_stab_ros.recording.pyav import av
+from sph_stab_ros.recording.spherical import boxes_say, layout_of
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
-
-try:
-    # The writer takes it from here.
-    import av as av
-except ImportError:
-    raise RecordingError("video files need PyAV: pip install 'sph_stab_ros[video]'") from None
+from sph_stab_ros.recording.video_stream import PictureStream, Stamped
 
 logger = logging.getLogger(__name__)
-
-# Containers round their durations, and sound may end after the pictures.
-MISSING_END_S = 0.5
-# AVFMT_NOTIMESTAMPS of FFmpeg's: what such containers show as times is made up.
-NO_TIMES = 0x80
-# Of streams that say none.
-ASSUMED_RATE = Fraction(30)
 
 
 class VideoRecording:
     """
-    A video file.
+    A video file, or a stretch of it.
 
     Pictures come with square pixels and upright, as the container's pixel aspect and rotation
-    say, and with the container's times, which need not be regular. A stream without any times has
-    those of its rate, in the order of presentation.
+    say, in the colours that its tags say, and with the container's times, which need not be
+    regular. A stream without any times has those of its rate, in the order of presentation. What
+    the metadata say of stereo and of parts of the sphere is the Frames' layout.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stretch: Stretch = Stretch()) -> None:
         self.topics: dict[str, str] = {}
         self.image_topic: str | None = None
         self.path = path
         self.name = path.name
+        self._stretch = stretch
+        self._cropped, unread = boxes_say(path)
+        if unread:
+            raise RecordingError(
+                f'{path}: its metadata say that the pictures are {unread}, which is not read')
         self._skip_log = SkipLog(self.name)
         with self._open() as container:
-            stream = container.streams.video[0]
-            self.duration_s = _duration_s(container, stream)
+            pictures = PictureStream(container, self.name, self._skip_log)
+            stream, duration_s = pictures.stream, pictures.duration_s
             self.frame_count: int | None = stream.frames or None
-            if self.duration_s and stream.average_rate:
+            if duration_s and stream.average_rate:
                 # Some containers count fields, or frames that an edit list hides.
-                self.frame_count = round(self.duration_s * stream.average_rate)
+                self.frame_count = stretch.share(
+                    round(duration_s * stream.average_rate), duration_s)
         if tilt_removed_in_camera(path):
             logger.warning(
                 '%s: its metadata say that the camera removed the tilt already (zenith '
@@ -82,68 +77,44 @@ class VideoRecording:
         """Yield the Frames as they are decoded."""
         self._skip_log = SkipLog(self.name)
         with self._open() as container:
-            stream = container.streams.video[0]
-            stream.thread_type = 'AUTO'
-            rate = _rate(stream)
-            clock = PictureClock(round(NS_PER_S / rate))
-            stamped = self._stamped(container, stream, rate)
-            for times, picture in with_times(self.name, stamped, clock):
-                yield _frame(picture, times, stream.sample_aspect_ratio)
+            pictures = PictureStream(container, self.name, self._skip_log)
+            self._say_what_is_assumed(pictures)
+            stamped = pictures.stamped(self._stretch.start_ns)
+            if stamped is not None:
+                yield from self._frames(pictures, stamped)
+                return
+        with self._open() as container:
+            pictures = PictureStream(container, self.name, self._skip_log)
+            yield from self._frames(pictures, pictures.stamped())
 
-    def _stamped(self, container: 'av.container.InputContainer', stream: 'av.VideoStream',
-                 rate: Fraction) -> Iterator[tuple[Stamp, 'av.VideoFrame']]:
-        """Yield the whole pictures in the order of presentation with their Stamps."""
-        name = container.format.name
-        # Files of one JPEG picture after the other.
-        has_times = not container.format.flags & NO_TIMES and not name.endswith('_pipe')
-        if not has_times:
-            logger.warning('%s has no times: %g pictures a second are assumed',
-                           self.name, float(rate))
-        # AVI knows the order of decoding alone; the decoder puts pictures into that of showing.
-        in_order: deque[int] | None = None
-        if name == 'avi':
-            in_order = deque()
+    def _frames(self, pictures: PictureStream, stamped: Stamped | None) -> Iterator[Frame]:
+        assert stamped is not None, 'from the beginning there is no key picture missing'
+        first_ns, from_there = stamped
+        clock = PictureClock(round(NS_PER_S / pictures.rate))
+        timed = with_times(self.name, from_there, clock)
+        for times, picture in within(self.name, timed, self._stretch, first_ns):
+            yield self._frame(picture, times, pictures.stream)
+
+    def _frame(self, picture: 'av.VideoFrame', times: PictureTime, stream: 'av.VideoStream'
+               ) -> Frame:
+        """Return the Frame of a decoded picture."""
+        side_data = side_data_of(picture)
+        colour = tagged_colour(picture, stream.codec_context)
+        source = VideoPicture(picture, colour, stream.sample_aspect_ratio,
+                              side_data.get('DISPLAYMATRIX'))
+        try:
+            layout = layout_of(side_data, source.size_wh, self._cropped)
+        except RecordingError as error:
+            raise RecordingError(f'{self.name}: {error}') from None
+        return Frame(source, times.stamp_ns, times=times, layout=layout, colour=colour)
+
+    def _say_what_is_assumed(self, pictures: PictureStream) -> None:
+        rate = float(pictures.rate)
+        if not pictures.has_times:
+            logger.warning('%s has no times: %g pictures a second are assumed', self.name, rate)
+        elif not pictures.has_presentation_times:
             logger.warning('%s has no times of presentation: the pictures are taken in order, at '
-                           '%g a second', self.name, float(rate))
-        count, end_s, cut = 0, 0., False
-        try:
-            for packet in container.demux(stream):
-                if packet.is_corrupt:
-                    cut = True
-                    continue
-                if in_order is not None and packet.size and packet.dts is not None:
-                    in_order.append(packet.dts)
-                for picture in self._decoded(packet):
-                    if in_order is not None:
-                        picture.pts = in_order.popleft() if in_order else None
-                    if not has_times:
-                        stamp = Stamp(round(count * NS_PER_S / rate))
-                    elif picture.pts is None or picture.time_base is None:
-                        stamp = Stamp(None)
-                    else:
-                        stamp = Stamp(round(picture.pts * picture.time_base * NS_PER_S))
-                    end_s = end_s if stamp.stamp_ns is None else stamp.stamp_ns / NS_PER_S
-                    yield stamp, picture
-                    count += 1
-        except av.FFmpegError as error:
-            logger.debug('%s: %r', self.name, error)
-            cut = True
-        if cut or (self.duration_s or 0.) - end_s > MISSING_END_S:
-            logger.warning('%s is truncated or damaged: %d pictures were read, up to %.3f s%s',
-                           self.name, count, end_s,
-                           f' of {self.duration_s:.3f} s' if self.duration_s else '')
-
-    def _decoded(self, packet: 'av.Packet[av.VideoStream]') -> list['av.VideoFrame']:
-        """Return the whole pictures that a packet completes."""
-        try:
-            pictures = packet.decode()
-        except av.FFmpegError as error:
-            self._skip_log.add('undecodable', f'undecodable: {error}')
-            return []
-        broken = [p for p in pictures if p.is_corrupt]
-        for picture in broken:
-            self._skip_log.add('undecodable', f'undecodable picture at {picture.time} s')
-        return [p for p in pictures if p not in broken]
+                           '%g a second', self.name, rate)
 
     def _open(self) -> 'av.container.InputContainer':
         try:
@@ -157,40 +128,3 @@ class VideoRecording:
             container.close()
             raise RecordingError(f'{self.path} has no video stream')
         return container
-
-
-def _frame(picture: 'av.VideoFrame', times: PictureTime, pixel_aspect: Fraction | None) -> Frame:
-    """Return the Frame of a decoded picture."""
-    width, height = square_pixel_size(picture.width, picture.height, pixel_aspect)
-    image: Any = picture.to_ndarray(format='bgr24', width=width, height=height)
-    if picture.rotation:
-        image = np.ascontiguousarray(np.rot90(image, round(picture.rotation / 90)))
-    return Frame(image, times.stamp_ns, times=times)
-
-
-def _rate(stream: 'av.VideoStream') -> Fraction:
-    """Return the pictures a second that a stream says, or what is assumed."""
-    rate = stream.codec_context.framerate or stream.guessed_rate or stream.average_rate
-    return Fraction(rate) if rate and 1 <= rate <= 1000 else ASSUMED_RATE
-
-
-def square_pixel_size(width: int, height: int, pixel_aspect: Fraction | float | None
-                      ) -> tuple[int, int]:
-    """
-    Return the largest (width, height) with square pixels that invents none.
-
-    ``pixel_aspect`` is a pixel's width divided by its height, or 0 or None where unknown.
-    """
-    if not pixel_aspect or pixel_aspect == 1:
-        return width, height
-    if pixel_aspect > 1:
-        return width, round(height / pixel_aspect)
-    return round(width * pixel_aspect), height
-
-
-def _duration_s(container: 'av.container.InputContainer',
-                stream: 'av.VideoStream') -> float | None:
-    """Return how long the container says the pictures last, or None."""
-    if stream.duration and stream.time_base:
-        return float(stream.duration * stream.time_base)
-    return container.duration / av.time_base if container.duration else None

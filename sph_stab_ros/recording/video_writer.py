@@ -6,82 +6,123 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Pictures into an MP4 file, through PyAV."""
+"""Pictures, and the sound of others, into an MP4 or MOV file, through PyAV."""
 
 from fractions import Fraction
 import logging
+import math
 from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.images.colour import Colour, from_bgr, STANDARD
 from sph_stab_ros.images.picture_time import Stamp
+from sph_stab_ros.images.side_by_side import as_bgr
 from sph_stab_ros.images.times import PictureClock
+from sph_stab_ros.images.video.picture import range_tag
 from sph_stab_ros.recording.base import RecordingError
-from sph_stab_ros.recording.video import av
+from sph_stab_ros.recording.pyav import av
+from sph_stab_ros.recording.sound import Sound
+from sph_stab_ros.recording.spherical_boxes import write_spherical
 
 logger = logging.getLogger(__name__)
 
 TIME_BASE = Fraction(1, 90000)
 # Only a hint for the encoder; each picture has its own time.
 NOMINAL_RATE = 30
+PIXEL_FORMAT = 'yuv420p'
 # Visually lossless at the smallest cost in time.
 ENCODER_OPTIONS = {'crf': '20', 'preset': 'veryfast'}
 
 
 class VideoWriter:
     """
-    An MP4 file (H.264), written picture by picture; a context manager.
+    An MP4 or MOV file (H.264), written picture by picture; a context manager.
 
     The times of the pictures are what a PictureClock makes of those given, counted from the first:
     they increase whatever is given, and good ones stay. All pictures are of the first one's size;
     an odd row or column is doubled, as H.264 needs even sizes.
+
+    Parameters
+    ----------
+    path
+        Ends in ``.mp4`` or ``.mov``.
+    spheres
+        Whether all pictures are whole spheres, which the file then says.
+    sound
+        A video whose sound to copy; the times of the pictures are then its own.
+    is_all
+        Whether the sound is copied to its end, not only as long as pictures are shown.
+
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, spheres: bool = False, sound: Path | None = None,
+                 is_all: bool = True) -> None:
         self.path = path
+        self._spheres = spheres
+        self._sound_source = sound
+        self._is_all = is_all
 
     def __enter__(self) -> 'VideoWriter':
         self._container = av.open(str(self.path), 'w')
-        # Begun with the first picture, whose size it has.
+        # Begun with the first picture, whose size and colours it has.
         self._stream: Any = None
+        self._sound: Sound | None = None
         self._last_pts = -1
         self._clock = PictureClock()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        # Also after an error, so that what there is can be read.
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+        # Also after an error, so that what there is can be read: somebody may have stopped it.
         try:
             if self._stream is not None:
                 self._container.mux(self._stream.encode())
+            if self._sound is not None:
+                self._sound.copy_until(math.inf if self._is_all and error is None
+                                       else self._time_ns + self._clock.period_ns)
+                self._sound.close()
         finally:
             self._container.close()
+        if self._spheres and self._stream is not None and error in (None, KeyboardInterrupt):
+            write_spherical(self.path)
 
-    def write(self, image: Image, stamp_ns: int) -> None:
-        """Write an image, BGR or grey, taken at a time."""
-        time_ns = self._clock.decide(Stamp(stamp_ns)).time_ns
+    def write(self, image: Image, stamp_ns: int, colour: Colour | None = None) -> None:
+        """Write an image, BGR or grey, taken at a time; all are written as the first's colour."""
+        time_ns = self._time_ns = self._clock.decide(Stamp(stamp_ns)).time_ns
         height, width = image.shape[:2]
         image = cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
         if self._stream is None:
-            self._start(image, time_ns)
+            self._start(image, time_ns, colour or STANDARD)
         elif image.shape[:2] != (self._stream.height, self._stream.width):
             image = cv2.resize(image, (self._stream.width, self._stream.height))
-        picture = av.VideoFrame.from_ndarray(image, format='gray' if image.ndim == 2 else 'bgr24')
+        if self._sound is not None:
+            self._sound.copy_until(time_ns)
+        # One plane after the other.
+        planes = np.concatenate([one.ravel() for one in from_bgr(as_bgr(image), self._colour)])
+        picture = av.VideoFrame.from_ndarray(
+            planes.reshape(-1, image.shape[1]), format=PIXEL_FORMAT)
         picture.pts = self._last_pts = max(
             self._last_pts + 1,
             round(Fraction(time_ns - self._first_ns, NS_PER_S) / TIME_BASE))
         picture.time_base = TIME_BASE
         self._container.mux(self._stream.encode(picture))
 
-    def _start(self, image: Image, time_ns: int) -> None:
+    def _start(self, image: Image, time_ns: int, colour: Colour) -> None:
         try:
             self._stream = self._container.add_stream(
                 'libx264', rate=NOMINAL_RATE, options=ENCODER_OPTIONS)
         except ValueError as error:
             raise RecordingError(f'{self.path} needs PyAV with libx264: {error}') from None
         self._stream.height, self._stream.width = image.shape[:2]
-        self._stream.pix_fmt = 'yuv420p'
+        self._stream.pix_fmt = PIXEL_FORMAT
         self._stream.time_base = self._stream.codec_context.time_base = TIME_BASE
+        self._colour, codec = colour, self._stream.codec_context
+        codec.colorspace, codec.color_range = colour.matrix, range_tag(colour)
+        codec.color_primaries, codec.color_trc = colour.primaries, colour.transfer
         self._first_ns = time_ns
+        if self._sound_source is not None:
+            self._sound = Sound(self._sound_source, self._container, time_ns)

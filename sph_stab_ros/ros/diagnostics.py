@@ -19,6 +19,8 @@ import numpy as np
 
 from sph_stab_ros.geometry.arrays import Covariance, Mask, Vector
 from sph_stab_ros.geometry.masks import share_of_sphere
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.ros.cpu_meter import CpuMeter
 from sph_stab_ros.stabilization.pipeline import StabilizationEvent, StabilizedFrame
 from sph_stab_ros.tracking import Tracker, TrackingStatus
@@ -68,7 +70,15 @@ class Diagnostics:
         # The rotation vector in radians, and its covariance.
         self._lens_misalignment: tuple[Vector, Covariance] | None = None
         self._last_refusal: str | None = None
+        self._watch = PictureWatch()
         self._start_period()
+
+    def look_at(self, frame: Frame, projection: str) -> None:
+        """Say what pictures seem to be that are taken for what they are not; of some Frames."""
+        self._watch.projection = projection
+        hint = self._watch.look(frame)
+        if hint:
+            self.event('other_pictures', hint)
 
     def count_frame(self, stabilized: StabilizedFrame, tracker: Tracker | None = None) -> None:
         """Count a StabilizedFrame of a Tracker's."""
@@ -188,13 +198,16 @@ class Diagnostics:
     def _judgement(self, why_no_images: str) -> tuple[bytes, str]:
         """Return level and message of the present period."""
         if self._last_refusal:
-            return DiagnosticStatus.WARN, f'images are refused: {self._last_refusal}'
+            return DiagnosticStatus.WARN, ': '.join(filter(None, (
+                'images are refused', self._last_refusal, self._watch.hint)))
         if not self._frames_in_period or self._status is None:
             return DiagnosticStatus.WARN, ': '.join(filter(None, ('no images', why_no_images)))
         if self._status is not TrackingStatus.OK:
             return DiagnosticStatus.WARN, NOT_OK[self._status]
         if self._no_gravity:
             return DiagnosticStatus.WARN, self._no_gravity
+        if self._watch.hint:
+            return DiagnosticStatus.WARN, self._watch.hint
         return DiagnosticStatus.OK, 'ok'
 
 

@@ -8,6 +8,8 @@
 
 """Messages of rclpy, made of what ``recording.messages`` says, and the core's values of them."""
 
+from array import array
+from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -68,3 +70,17 @@ def rates_from_twist(msg: Any) -> Rates:
         raise ValueError('angular.z, angular.y, linear.z, linear.x are ({:g}, {:g}, {:g}, {:g})'
                          .format(*counting))
     return Rates(msg.angular.z, msg.linear.z - msg.angular.y, msg.linear.x)
+
+
+def copy_fields(source: Any, target: Any) -> Any:
+    """Fill a fresh rclpy message from one of the bag reader, and return it."""
+    for name in target.get_fields_and_field_types():
+        value = getattr(source, name)
+        if is_dataclass(value):
+            copy_fields(value, getattr(target, name))
+        elif isinstance(getattr(target, name), array):
+            # Assigning checks each element, which takes seconds for an image.
+            getattr(target, name).frombytes(value.tobytes())
+        else:
+            setattr(target, name, value)
+    return target

@@ -9,9 +9,9 @@
 """
 The ROS 2 node: spherical images in; orientation, stabilised images and steerable views out.
 
-Subscribes to ``image`` (sensor_msgs/Image) or ``image/compressed`` (sensor_msgs/CompressedImage),
-as ``image_transport`` says, where ``level`` is ``imu`` to ``imu`` (sensor_msgs/Imu), and for each
-view to what steers it, see ``ros.views``.
+Subscribes to ``image`` (sensor_msgs/Image), ``image/compressed`` (sensor_msgs/CompressedImage) or
+others, as ``image_transport`` says (``ros.topics``), where ``level`` is ``imu`` to ``imu``
+(sensor_msgs/Imu), and for each view to what steers it, see ``ros.views``.
 
 Publishes ``orientation`` (geometry_msgs/QuaternionStamped, ``R_world_camera``),
 ``virtual_orientation`` (geometry_msgs/QuaternionStamped, ``R_world_virtual``),
@@ -24,8 +24,9 @@ front.
 
 The executor only stores the newest image and answers services and parameters. One worker thread
 decodes, tracks and publishes the orientation, another one draws and publishes pictures; images
-that come faster than that are dropped and counted. No lock is held meanwhile: what is asked for
-is left for the workers, who take it over before the next image.
+that come faster than that are dropped and counted; of compressed video all are decoded before, by
+a worker of their own. No lock is held meanwhile: what is asked for is left for the workers, who
+take it over before the next image.
 """
 
 from collections.abc import Callable
@@ -57,16 +58,14 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
-from sph_stab_ros.images.frame import frame_from_message
 from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
 from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.ros.diagnostics import Diagnostics, LOG_PERIOD_S, ThrottledLog
+from sph_stab_ros.ros.image_input import ImageInput, ReceivedImage
 from sph_stab_ros.ros.imu_input import ImuInput
-from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.publishers import Outputs
-from sph_stab_ros.ros.silence import SilenceWatch
-from sph_stab_ros.ros.topics import advertise, subscribe_to_images
+from sph_stab_ros.ros.topics import advertise
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
 from sph_stab_ros.stabilization.outputs import Output
@@ -98,8 +97,8 @@ class StabilizerNode(Node):
         # orientation waits for neither.
         self._tracking = Worker('tracking', partial(self._safely, self._track))
         self._drawing = Worker('drawing', partial(self._safely, self._draw))
-        images = subscribe_to_images(self, 'image', config.image_transport, self._on_image)
-        self._silence = SilenceWatch(self, images, config.image_transport)
+        self._images = ImageInput(
+            self, config.image_transport, self._tracking.put, self._diagnostics)
         self._imu = ImuInput(self, self._stabilizer.add_imu_samples, self._diagnostics)
         self._imu.listen(config.level == IMU)
 
@@ -111,10 +110,11 @@ class StabilizerNode(Node):
         self.add_post_set_parameters_callback(self._apply_parameters)
         for name in undeclared_overrides(self):
             self.get_logger().warning(f"there is no parameter '{name}'")
-        self.get_logger().info(f'waiting for images on {images.topic_name}')
+        self.get_logger().info(f'waiting for images on {self._images.topic_name}')
 
     def start(self) -> None:
         """Start the workers."""
+        self._images.start()
         self._tracking.start()
         self._drawing.start()
 
@@ -132,23 +132,12 @@ class StabilizerNode(Node):
 
     def destroy_node(self) -> None:
         """Let the workers finish their frames, then destroy the node."""
+        self._images.close()
         self._tracking.close()
         self._drawing.close()
         super().destroy_node()
 
     # In the executor's thread.
-
-    def _on_image(self, msg: Any) -> None:
-        self._silence.end()
-        if stamp_ns(msg.header.stamp) == 0:
-            self.get_logger().warning(
-                'image stamps are zero, times of receipt are used', once=True)
-            now = self.get_clock().now()
-            if now.nanoseconds == 0:
-                self._diagnostics.refuse('no time', 'neither it nor /clock tells a time yet')
-                return
-            msg.header.stamp = now.to_msg()
-        self._tracking.put(msg, monotonic())
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._reset_wanted = True
@@ -168,8 +157,8 @@ class StabilizerNode(Node):
     def _on_look_at_home(
             self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._outputs.look_home()
-        message = "all views look at the stabilized frame's front"
-        return Trigger.Response(success=True, message=message)
+        return Trigger.Response(
+            success=True, message="all views look at the stabilized frame's front")
 
     def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -189,7 +178,8 @@ class StabilizerNode(Node):
         self._diagnostics_publisher.publish(DiagnosticArray(
             header=Header(stamp=self.get_clock().now().to_msg()),
             status=[self._diagnostics.status(
-                self._tracking.dropped, self._drawing.dropped, self._silence.reason())]))
+                self._images.dropped + self._tracking.dropped, self._drawing.dropped,
+                self._images.why_silent())]))
         give_back_freed_memory()
 
     # In the workers' threads.
@@ -205,23 +195,24 @@ class StabilizerNode(Node):
             if self.context.ok():
                 self._diagnostics.refuse(type(error).__name__, f'{error!r}')
 
-    def _track(self, msg: Any, received_s: float) -> None:
+    def _track(self, image: ReceivedImage) -> None:
         cpu = self._diagnostics.cpu
         self._take_over_what_is_wanted()
         with cpu.stage('decode'):
             times = self._picture_clock.decide(
-                Stamp(stamp_ns(msg.header.stamp), round(received_s * NS_PER_S)))
+                Stamp(image.stamp_ns, round(image.received_s * NS_PER_S)))
             self._judge_time(times)
-            frame = frame_from_message(msg, times.stamp_ns, msg.header.frame_id, times)
+            frame = image.frame(times)
             if self._outputs.pictures_wanted:
                 frame.load()
+            self._diagnostics.look_at(frame, self._settings.config.projection)
         with cpu.stage('imu'):
             self._imu.collect()
         with cpu.stage('track'):
             stabilized = self._stabilizer.process(frame)
         pictures = self._outputs.publish_orientation(stabilized)
         self._diagnostics.count_frame(stabilized, self._stabilizer.tracker)
-        self._drawing.put(pictures, received_s)
+        self._drawing.put(pictures, image.received_s)
         self._settle()
 
     def _settle(self) -> None:
@@ -272,8 +263,7 @@ def run(args: list[str] | None = None) -> int:
     except RuntimeError as error:
         print(f'stabilizer: cannot start: {error}', file=sys.stderr)
         return 2
-    # Two workers share the interpreter: each call that gives it away would wait for the other's
-    # turn of 5 ms.
+    # Two workers share the interpreter: each call that gives it away would wait 5 ms for another.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     # And the cores.
     cv2.setNumThreads(max((os.cpu_count() or 2) // 2, 1))

@@ -15,8 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_check_compatible, QoSCompatibility
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
-from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
-from sph_stab_ros.stabilization.outputs import COMPRESSED
+from sph_stab_ros.ros.topics import TRANSPORTS
 
 # Cameras take their time, and so does discovery.
 PATIENCE_S = 3.
@@ -34,7 +33,7 @@ class SilenceWatch:
     images : rclpy.subscription.Subscription
         To the images.
     transport : str
-        Theirs, 'raw' or 'compressed'.
+        Theirs, one of the TRANSPORTS.
 
     """
 
@@ -62,8 +61,7 @@ class SilenceWatch:
 
     def _reason(self) -> str:
         topic = self._images.topic_name
-        raw = self._transport == 'raw'
-        wanted, other_type = (IMAGE, COMPRESSED_IMAGE) if raw else (COMPRESSED_IMAGE, IMAGE)
+        ending, wanted = TRANSPORTS[self._transport]
         others = [one for one in self._publishers(topic) if one.topic_type != wanted]
         right = [one for one in self._publishers(topic) if one.topic_type == wanted]
         if right:
@@ -71,12 +69,14 @@ class SilenceWatch:
         if others:
             return (f'{topic} has a publisher of {others[0].topic_type}; image_transport is '
                     f'{self._transport}, which is {wanted}')
-        other = topic + COMPRESSED if raw else topic.removesuffix(COMPRESSED)
-        if other_type in [one.topic_type for one in self._publishers(other)]:
-            return f'{other} has a publisher; image_transport is {self._transport}'
+        for other_ending, other_type in TRANSPORTS.values():
+            other = topic.removesuffix(ending) + other_ending
+            if other_type in [one.topic_type for one in self._publishers(other)]:
+                return f'{other} has a publisher; image_transport is {self._transport}'
+        image_types = {msgtype for _, msgtype in TRANSPORTS.values()}
         elsewhere = sorted(
             name for name, types in self._node.get_topic_names_and_types()
-            if {IMAGE, COMPRESSED_IMAGE} & {*types} and any(self._publishers(name)))
+            if image_types & {*types} and any(self._publishers(name)))
         return f'nobody publishes {topic}' + (
             f'; images are on {", ".join(elsewhere[:MAX_LISTED])}' if elsewhere else '')
 

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Topics, and image topics as image_transport has them: ``image`` raw and ``image/compressed``.
+Topics, and image topics as image_transport has them: ``image``, ``image/compressed``, ….
 
 Remapping ``image`` takes ``image/compressed`` along, unless that is remapped itself. All quality
 of service can be overridden by parameters (``qos_overrides.<topic>.publisher.depth``, …).
@@ -22,9 +22,17 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import CompressedImage, Image
+from sph_stab_ros.config import ConfigError
+from sph_stab_ros.recording.messages import (
+    COMPRESSED_IMAGE, COMPRESSED_VIDEO, FFMPEG_PACKET, IMAGE)
+from sph_stab_ros.ros.messages import message_type
 from sph_stab_ros.stabilization.outputs import COMPRESSED
 
+# What the topics of each transport end with, and the type of their messages.
+TRANSPORTS = {'raw': ('', IMAGE), 'compressed': (COMPRESSED, COMPRESSED_IMAGE),
+              'ffmpeg': ('/ffmpeg', FFMPEG_PACKET), 'foxglove': ('/foxglove', COMPRESSED_VIDEO)}
+# Of raw images the newest counts; of video, which compressed ones may be, all do.
+IMAGE_DEPTH, COMPRESSED_DEPTH = 5, 30
 POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
             QoSPolicyKind.DURABILITY)
 # The middleware counts in 32 bits.
@@ -33,12 +41,18 @@ MAX_DEPTH = 2**31 - 1
 
 def subscribe_to_images(node: Node, topic: str, transport: str,
                         callback: Callable[[Any], None]) -> Subscription:
-    """Subscribe to ``topic`` as 'raw' or 'compressed' images, as sensor data."""
-    compressed = transport == 'compressed'
+    """Subscribe to ``topic`` by one of the TRANSPORTS, as sensor data; ConfigError without."""
+    ending, type_name = TRANSPORTS[transport]
+    try:
+        msg_type = message_type(type_name)
+    except ImportError:
+        package, _, _ = type_name.partition('/')
+        raise ConfigError(
+            f'image_transport {transport} needs {package}, which is not installed') from None
     return subscribe(
-        node, CompressedImage if compressed else Image,
-        compressed_topic(node, topic) if compressed else topic, callback,
-        QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
+        node, msg_type, transported_topic(node, topic, ending), callback,
+        QoSProfile(depth=COMPRESSED_DEPTH if ending else IMAGE_DEPTH,
+                   reliability=ReliabilityPolicy.BEST_EFFORT))
 
 
 def subscribe(node: Node, msg_type: type[Any], topic: str, callback: Callable[[Any], None],
@@ -62,10 +76,16 @@ def is_wanted(publisher: Publisher) -> bool:
 
 def compressed_topic(node: Node, topic: str) -> str:
     """Return where the compressed images of ``topic`` are, remappings considered."""
-    name = topic + COMPRESSED
-    if node.resolve_topic_name(name) != node.resolve_topic_name(name, only_expand=True):
+    return transported_topic(node, topic, COMPRESSED)
+
+
+def transported_topic(node: Node, topic: str, ending: str) -> str:
+    """Return where the images of ``topic`` are by a transport, remappings considered."""
+    name = topic + ending
+    if not ending or node.resolve_topic_name(name) != node.resolve_topic_name(
+            name, only_expand=True):
         return name
-    return node.resolve_topic_name(topic) + COMPRESSED
+    return node.resolve_topic_name(topic) + ending
 
 
 def _overriding() -> QoSOverridingOptions:

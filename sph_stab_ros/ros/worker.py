@@ -6,24 +6,24 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A thread that always works on the newest item; those it has no time for are dropped."""
+"""A thread that works on the newest items; those it has no time for are dropped."""
 
 from collections.abc import Callable
 from threading import Thread
 from typing import Any
 
-from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
+from sph_stab_ros.ros.mailbox import Mailbox
 
 
 class Worker:
     """
-    Calls ``work(*item)`` in a thread of its own for the newest item put.
+    Calls ``work(*item)`` in a thread of its own for the newest item put, or for the newest few.
 
-    ``work`` must not raise anything.
+    ``work`` must not raise anything. So many as ``waiting`` may wait for it, see Mailbox.
     """
 
-    def __init__(self, name: str, work: Callable[..., None]) -> None:
-        self._mailbox: OneSlotMailbox[tuple[Any, ...]] = OneSlotMailbox()
+    def __init__(self, name: str, work: Callable[..., None], waiting: int = 1) -> None:
+        self._mailbox: Mailbox[tuple[Any, ...]] = Mailbox(waiting)
         self._work = work
         self._thread = Thread(target=self._run, name=name, daemon=True)
 
@@ -37,7 +37,7 @@ class Worker:
         self._thread.start()
 
     def put(self, *item: Any) -> None:
-        """Leave something to be worked on, in place of what is not begun yet."""
+        """Leave something to be worked on, in place of what is not begun yet if that is full."""
         self._mailbox.put(item)
 
     def close(self) -> None:

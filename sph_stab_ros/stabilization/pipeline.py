@@ -19,11 +19,13 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
 from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.geometry.rotations import rotate_covariance, standard_deviation_rad
 from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
 from sph_stab_ros.stabilization.imu_history import ImuHistory
 from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError, why_no_force
@@ -160,7 +162,7 @@ class Stabilizer:
         if config.tracker != self.config.tracker:
             self._tracker = None
         if any(getattr(config, name) != getattr(self.config, name)
-               for name in ('projection', 'fisheye', 'crop', 'cubemap')):
+               for name in ('projection', 'fisheye', 'crop', 'cubemap', 'layout')):
             self._tracker = self._last = None
         if config.imu != self.config.imu:
             self._imu.clear()
@@ -193,11 +195,12 @@ class Stabilizer:
 
     def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
+        frame = as_sphere(frame, self.config)
         self._projection = projection_of(frame.size_wh, self.config)
         events = tuple(self._events(frame))
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
-            tracker = self._started()
+            tracker = self._started(frame.layout)
         self._take_in_imu(frame.time_ns)
         tracked = self._track(tracker, frame, self._projection)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
@@ -233,11 +236,11 @@ class Stabilizer:
         if self.config.level == IMU and self._gravity.age_s(frame.clock_ns) > LONG_GAP_S:
             yield StabilizationEvent.NO_GRAVITY
 
-    def _started(self) -> Tracker:
+    def _started(self, layout: Layout | None) -> Tracker:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
-        part = self._projection.seen(self._working_width)
+        part = (layout or self._projection).seen(self._working_width)
         seen = () if part is None else (part,)
         tracker = self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._gyro_rotation, *seen)

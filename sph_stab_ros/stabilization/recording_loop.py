@@ -21,7 +21,9 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
+from sph_stab_ros.images.colour import Colour
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
@@ -50,10 +52,13 @@ class Summary:
     left_out: Counter[str] = field(default_factory=Counter)
     turned_rad: float = 0.
     R_world_camera: Rotation | None = None
+    # Of the first picture.
+    colour: Colour | None = None
 
     def add(self, stabilized: StabilizedFrame) -> None:
         """Count a StabilizedFrame; name the first event of each kind in the log."""
         self.frames += 1
+        self.colour = self.colour or stabilized.frame.colour
         self.statuses[stabilized.status.value] += 1
         for event in stabilized.events:
             self.events[event.value] += 1
@@ -69,7 +74,8 @@ def stabilize_recording(
         recording: Recording, stabilizer: FrameProcessor,
         sinks: Iterable[Callable[[StabilizedFrame], Any]] = (), max_frames: int | None = None,
         progress: Callable[[Iterator[Frame]], Iterable[Frame]] = iter,
-        imu: RecordedImu | None = None, pictures: bool = False) -> Summary:
+        imu: RecordedImu | None = None, pictures: bool = False,
+        watch: PictureWatch | None = None) -> Summary:
     """
     Stabilise a Recording frame by frame and return the Summary.
 
@@ -89,6 +95,8 @@ def stabilize_recording(
         Its samples go to the stabilizer, each before the first picture that is not earlier.
     pictures
         Whether sinks ask for pictures, whose images are then decoded once, for tracking too.
+    watch : PictureWatch, optional
+        Looks at the pictures; its hint is logged.
 
     Raises
     ------
@@ -105,6 +113,8 @@ def stabilize_recording(
             try:
                 if pictures:
                     frame.load()
+                if watch is not None and (hint := watch.look(frame)):
+                    logger.warning('%s: %s', recording.name, hint)
                 stabilized = stabilizer.process(frame)
             except (ImageError, ProjectionError) as error:
                 summary.left_out[error.reason] += 1

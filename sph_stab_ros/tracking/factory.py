@@ -16,6 +16,7 @@ import numpy as np
 from sph_stab_ros.config import ANCHORED, TrackerConfig
 from sph_stab_ros.geometry.arrays import Mask
 from sph_stab_ros.geometry.masks import common, load_mask
+from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import GyroRotation, no_gyro, Tracker
 from sph_stab_ros.tracking.frame_to_frame.tracker import FrameToFrameTracker
@@ -40,18 +41,20 @@ def check_mask(config: TrackerConfig) -> None:
     load_mask(config.mask, working_width(config))
 
 
-def make_tracker(config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro,
-                 seen: Mask | None = None) -> Tracker:
+def make_tracker(
+        config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro,
+        seen: Mask | None = None, anchored: AnchoredOptions = AnchoredOptions()) -> Tracker:
     """
     Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
 
     ``gyro_rotation(from_ns, to_ns)`` returns the turn ``R_from_to`` that a gyro has seen between
     two stamps, or None. ``seen`` are the pixels (width / 2, width) bool that the pictures show,
-    all by default; ProjectionError where the config's mask leaves none of them.
+    all by default; ProjectionError where the config's mask leaves none of them. ``anchored`` says
+    how the anchored tracker does what it does.
     """
     used = common(load_mask(config.mask, width), seen)
     if config.estimator == ANCHORED:
-        return AnchoredTracker(width, used, config.max_prediction_s, gyro_rotation)
+        return AnchoredTracker(used, config.max_prediction_s, gyro_rotation, anchored)
     bound_deg = config.epipolar_bound_deg
     return FrameToFrameTracker(
         config.estimator, used, config.max_prediction_s, gyro_rotation,

@@ -8,6 +8,8 @@
 
 """Where a camera is, how it moves, and how it is expected to have turned and moved since."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -15,8 +17,17 @@ from sph_stab_ros.geometry.arrays import Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.tracking.base import GyroRotation
 
-# Of the velocity, what is left of it until the next frame.
-INERTIA = 0.8
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """How the camera's position is expected to change, in the unit of the map."""
+
+    # Of the velocity, what is left of it until the next frame: it decays, as in G. Klein and
+    # D. Murray, *Parallel tracking and mapping for small AR workspaces*, 2007.
+    inertia: float = 0.8
+    # How far the camera moves against a prediction: a standard deviation per second, and no less.
+    position_sigma_per_s: float = 0.6
+    min_position_sigma: float = 0.02
 
 
 class MotionModel:
@@ -31,10 +42,13 @@ class MotionModel:
         For how long the velocities are trusted.
     gyro_rotation : GyroRotation
         Returns the turn ``R_from_to`` between two stamps as a gyro saw it, or None.
+    options : MotionOptions
 
     """
 
-    def __init__(self, max_prediction_s: float, gyro_rotation: GyroRotation) -> None:
+    def __init__(self, max_prediction_s: float, gyro_rotation: GyroRotation,
+                 options: MotionOptions = MotionOptions()) -> None:
+        self._options = options
         self._max_prediction_s = max_prediction_s
         self._turn_between = gyro_rotation
         self.R_world_camera = Rotation.identity()
@@ -73,7 +87,8 @@ class MotionModel:
 
     def position_at(self, stamp_ns: int) -> Vector:
         """Return the position (3,) expected."""
-        return self.position + INERTIA * self.trusted_s(stamp_ns) * self._velocity_per_s
+        elapsed_s = self._options.inertia * self.trusted_s(stamp_ns)
+        return self.position + elapsed_s * self._velocity_per_s
 
     def predicted_rotation(self, stamp_ns: int) -> Rotation:
         """Return the turn R_last_camera expected."""

@@ -182,7 +182,7 @@ def check_both(data, expected):
     """Compare what bags and the live node read."""
     assert np.array_equal(image_from_message(compressed(data)), expected)
     frame = frame_from_message(compressed(data), 0)
-    assert frame.at_least(32).shape[1] >= 32
+    assert frame.grey(32).shape[1] >= 32
     frame.load()
     assert np.array_equal(frame.image, expected)
 

@@ -54,10 +54,11 @@ def test_size_is_that_of_the_image(size_wh, channels, options):
     (512, 640, 512), (5376, 640, 672)])
 def test_no_more_is_decoded_than_is_wanted(image_width, width, expected):
     data = jpeg(textured_sphere(image_width))
-    reduced = Frame(JpegFile(data), 0).at_least(width)
-    assert reduced.shape[:2] == (expected // 2, expected)
-    # Colours cost little more than what cannot be reduced; grey is theirs then.
-    assert (reduced.ndim == 2) == (expected < image_width)
+    reduced = Frame(JpegFile(data), 0).grey(width)
+    assert reduced.shape == (expected // 2, expected)
+    # Where it cannot be reduced grey is that of the colours.
+    colours = cv2.cvtColor(image_from_compressed(data), cv2.COLOR_BGR2GRAY)
+    assert np.array_equal(reduced, colours) == (expected == image_width)
 
 
 def test_reduced_spheres_are_those_of_the_whole():
@@ -66,7 +67,7 @@ def test_reduced_spheres_are_those_of_the_whole():
     frame, loaded = (Frame(JpegFile(data), 7, 'camera') for _ in range(2))
     loaded.load()
     assert np.array_equal(loaded.image, image_from_compressed(data))
-    assert loaded.at_least(width) is loaded.image
+    assert loaded.grey(width).shape == loaded.image.shape[:2]
     whole, reduced = (np.float64(Equirect(1920).grey_sphere(one, width))
                       for one in (loaded, frame))
     assert np.corrcoef(whole.ravel(), reduced.ravel())[0, 1] > 0.99
@@ -79,7 +80,7 @@ def test_messages_become_frames():
     assert (frame.stamp_ns, frame.frame_id, frame.size_wh) == (5, 'camera', (128, 64))
     png = frame_from_message(message(cv2.imencode('.png', image)[1].tobytes()), 5, 'camera')
     assert np.array_equal(png.image, image)
-    assert png.at_least(64) is png.image
+    assert np.array_equal(png.grey(64), cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
     raw = SimpleNamespace(height=64, width=128, encoding='bgr8', step=384, data=image.ravel())
     assert np.array_equal(frame_from_message(raw, 5).image, image)
 
@@ -92,7 +93,7 @@ def test_a_frame_can_be_changed_whatever_it_is_made_of(image):
     assert np.array_equal(later.image, frame.image)
     grey = np.zeros((32, 64), np.uint8)
     other = replace(frame, source=grey)
-    assert other.image is grey and other.at_least(16) is grey and other.size_wh == (64, 32)
+    assert other.image is grey and other.grey(16) is grey and other.size_wh == (64, 32)
     assert frame.size_wh == (128, 64)
 
 
@@ -126,6 +127,6 @@ def test_what_cannot_be_decoded_is_refused_when_it_is_asked_for():
     # Its tables become comments.
     data = jpeg(textured_sphere(128)).replace(b'\xff\xdb', b'\xff\xfe')
     frame = frame_from_message(message(data), 0)
-    for asked in (frame.load, lambda: frame.at_least(64)):
+    for asked in (frame.load, lambda: frame.grey(64)):
         with pytest.raises(ImageError, match='corrupt JPEG'):
             asked()

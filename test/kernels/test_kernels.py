@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros import kernels
 from sph_stab_ros.geometry.warp import perspective_view, rotate_equirect
 from sph_stab_ros.tracking.anchored import bundle_adjustment, pose_estimation
-from sph_stab_ros.tracking.anchored.patches import Patches, Pyramid
+from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from synthetic import random_rotation, textured_sphere, unit
 
 COMPILER = shutil.which('cc') or shutil.which('gcc')
@@ -74,7 +74,8 @@ def test_equations_of_a_bundle(both, seed):
     sizes = bundle_adjustment.residual_lengths(window, *state)
 
     def equations():
-        one = bundle_adjustment.normal_equations(window, *state, sizes)
+        one = bundle_adjustment.normal_equations(
+            window, *state, sizes, bundle_adjustment.BundleOptions())
         return one.H, one.g, one.H_rp, one.H_rr, one.g_r
     assert_close(*both(equations))
 
@@ -85,8 +86,8 @@ def test_patches(both, turn_deg):
     R = random_rotation(rng, turn_deg)
     width = 480
     x, east, south = corners(textured_sphere(width))
-    patches = Patches.cut(Pyramid(textured_sphere(width)), x, east, south)
-    image = Pyramid(textured_sphere(width, R))
+    patches = Patches.cut(Pyramid(textured_sphere(width), PatchOptions()), x, east, south)
+    image = Pyramid(textured_sphere(width, R), PatchOptions())
     seen = [R.inv().apply(one) for one in (unit(x + rng.normal(0, 0.01, x.shape)), east, south)]
     rows, scale = rng.permutation(len(x))[:80], rng.uniform(0.9, 1.1, 80)
     (offsets, correlation, _), (in_numpy, also, _) = both(lambda: patches.find(

@@ -67,18 +67,32 @@ def test_every_picture_has_the_orientation_of_its_stamp(seed):
     assert all(one.orientation == orientation(one.stamp_ns) for one in paired)
 
 
-def test_pictures_go_out_alone_when_no_node_is_heard():
+def test_pictures_go_out_alone_when_no_node_answers():
     emitted, clock = [], Clock()
     pairing = Pairing(emitted.append, clock)
     pairing.add_picture(picture(1))
-    assert emitted == [picture(1)]
-    pairing.add_orientation(2, orientation(2))
-    pairing.add_picture(picture(3))
-    assert len(emitted) == 1
     clock.now_s += SILENCE_S
+    pairing.add_picture(picture(2))
+    pairing.add_orientation(3, orientation(3))
+    # A camera that pauses says nothing of the node.
+    clock.now_s += 10 * SILENCE_S
     pairing.add_picture(picture(4))
-    assert [one.stamp_ns for one in emitted] == [1, 4]
-    assert emitted[-1].orientation is None
+    assert [one.stamp_ns for one in emitted] == [2]
+    clock.now_s += SILENCE_S
+    pairing.add_picture(picture(5))
+    pairing.add_picture(picture(6))
+    assert [(one.stamp_ns, one.orientation) for one in emitted] == [
+        (2, None), (5, None), (6, None)]
+
+
+def test_a_server_that_has_just_started_knows_nothing_of_the_node_s_silence():
+    """Nor does one whose camera has."""
+    emitted, clock = [], Clock()
+    pairing = Pairing(emitted.append, clock)
+    pairing.add_picture(picture(1))
+    clock.now_s += SILENCE_S / 2
+    pairing.add_orientation(1, orientation(1))
+    assert emitted == [Picture(1, picture(1).data, 0., orientation(1))]
 
 
 def test_what_waits_is_bounded():
@@ -187,7 +201,8 @@ def test_no_text_does_more_than_be_refused():
 
 @pytest.mark.parametrize('arguments', [
     ['--port', 'x'], ['--port', '70000'], ['--browsers', '0'], ['--colour', 'red'],
-    ['--token-file', '/nowhere'], ['--ros-args', '-r', 'x']])
+    ['--token-file', '/nowhere'], ['--key', 'x'], ['--certificate', 'x', '--insecure'],
+    ['--ros-args', '-r', 'x']])
 def test_wrong_calls(arguments, capsys):
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     from sph_stab_ros.operator.__main__ import main
@@ -203,6 +218,6 @@ def test_wrong_calls(arguments, capsys):
 def test_addresses():
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     from sph_stab_ros.operator.__main__ import address
-    assert address('127.0.0.1', 80, None) == 'http://127.0.0.1:80/'
-    assert address('::1', 80, 'abc') == 'http://[::1]:80/?token=abc'
-    assert '0.0.0.0' not in address('0.0.0.0', 80, 'abc')
+    assert address('127.0.0.1', 80, False) == 'http://127.0.0.1:80/'
+    assert address('::1', 80, True) == 'https://[::1]:80/'
+    assert '0.0.0.0' not in address('0.0.0.0', 80, True)

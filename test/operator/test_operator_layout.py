@@ -8,68 +8,17 @@
 
 """How the operator's page looks and sounds: screens, alarms, contrast, landmarks."""
 
-import asyncio
-from dataclasses import dataclass
-from threading import Thread
-
-import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from operator_harness import chromium, Page, wait_until  # noqa: E402, I100
-from operator_site import IDENTITY, site  # noqa: E402
-from sph_stab_ros.operator.pairing import Orientation, Picture  # noqa: E402
+from operator_served import Served, State  # noqa: E402
 
 SCREENS = (360, 640), (640, 360), (740, 360), (600, 960), (820, 1180), (1366, 768), (3840, 2160)
-PERIOD_S = 0.05
-
-
-@dataclass(frozen=True)
-class State:
-    """What the page is told of a robot, see RobotState."""
-
-    camera: bool = True
-    tracking: str = 'ok'
-    healthy: bool = True
-    message: str = 'ok'
-    rate_hz: str = '30.0'
-    latency_ms: str = '20.0'
-    modes: tuple = ('lock', 'follow', 'yaw_follow')
-    mode: str = 'lock'
-    can_reset: bool = True
-    can_level: bool = True
-
-
-class Served(Thread):
-    """A server that shows grey pictures of a robot in the State ``state``."""
-
-    def __init__(self):
-        super().__init__()
-        self.state, self.late_s, self.url = State(), 0., None
-        self._file = cv2.imencode('.jpg', np.full((64, 128, 3), 128, np.uint8))[1].tobytes()
-        self._ending = False
-
-    def run(self):
-        """Serve until the end."""
-        asyncio.run(self._serve())
-
-    async def _serve(self):
-        async with site() as one:
-            self.url = one.url
-            while not self._ending:
-                one.robot.state = self.state
-                now_s = asyncio.get_running_loop().time()
-                one.server.show(Picture(
-                    round(1e9 * now_s), self._file, now_s - self.late_s,
-                    Orientation(IDENTITY, IDENTITY)))
-                await asyncio.sleep(PERIOD_S)
-
-    def end(self):
-        """End serving."""
-        self._ending = True
-        self.join()
+# A small phone on its side, and a laptop at 400 %: these scroll.
+TINY = (568, 320), (320, 256)
 
 
 @pytest.fixture(scope='module')
@@ -105,7 +54,7 @@ def page(served, shared_page):
 
 
 PANELS = """() => [...document.querySelectorAll(
-        'header > :not(h1), #alarm, #attitude, #control, nav')]
+        'header > :not(h1), #alarm, #attitude, #control, #notice:not(:empty), nav')]
     .filter(one => one.checkVisibility()).map(one => [one, one.getBoundingClientRect()])"""
 OUTSIDE = """() => [...document.querySelectorAll(
         'header > :not(h1), header dd, nav button, nav label, #attitude, #alarm')]
@@ -153,6 +102,97 @@ def test_everything_is_on_the_screen(served, page, browser, state, name):
         assert not at_all_sizes(watching, SMALL)
     finally:
         watching.context.close()
+
+
+# Buttons that cannot be seen whole and pressed, wherever one scrolls to.
+UNREACHABLE = """() => [...document.querySelectorAll('button, nav label')]
+    .filter(one => one.checkVisibility()).filter(one => {
+        one.scrollIntoView({block: 'center', behavior: 'instant'});
+        const {left, top, right, bottom} = one.getBoundingClientRect();
+        const [x, y] = [(left + right) / 2, (top + bottom) / 2];
+        return left < 0 || top < 0 || right > innerWidth || bottom > innerHeight ||
+            one.scrollWidth > one.clientWidth + 1 ||
+            !one.contains(document.elementFromPoint(x, y));
+    }).map(one => one.id || one.textContent)"""
+
+
+def test_a_notice_covers_no_button(served, page, browser):
+    watching = Page(browser, served.url, has_touch=True)
+    try:
+        watching.wait_for_situation('stabilized')
+        # Refused, as somebody else has control.
+        watching.page.keyboard.press('r')
+        wait_until(lambda: watching.page.inner_text('#notice'))
+        for width, height in (*SCREENS, *TINY):
+            watching.page.set_viewport_size({'width': width, 'height': height})
+            watching.page.keyboard.press('r')
+            assert not watching.page.evaluate(UNREACHABLE), (width, height)
+            assert watching.page.inner_text('#notice')
+    finally:
+        watching.context.close()
+
+
+@pytest.mark.parametrize('state', [State(), State(tracking='lost', healthy=False)],
+                         ids=['ok', 'lost'])
+def test_everything_is_reached_on_tiny_screens(served, page, browser, state):
+    """By scrolling in one direction alone."""
+    served.state = state
+    watching = Page(browser, served.url, has_touch=True)
+    try:
+        for one in (page, watching):
+            one.wait_for_situation('lost' if state.tracking == 'lost' else 'stabilized')
+            for width, height in TINY:
+                one.page.set_viewport_size({'width': width, 'height': height})
+                assert not one.page.evaluate(UNREACHABLE), (width, height)
+                assert not one.page.evaluate(
+                    'document.documentElement.scrollWidth > innerWidth'), (width, height)
+    finally:
+        watching.context.close()
+
+
+def test_losing_control_is_said(served, page, browser):
+    """In a place that was there, and empty, before: what comes with its text is not read out."""
+    page.page.click('#take') if page.page.is_visible('#take') else None
+    wait_until(lambda: not page.page.is_visible('#control'))
+    wait_until(lambda: not page.page.text_content('#notice'))
+    told = page.page.locator('#notice[role=status]')
+    assert told.evaluate('one => one.checkVisibility()')
+    other = Page(browser, served.url)
+    try:
+        other.page.click('#take')
+        wait_until(lambda: page.page.inner_text('#notice')
+                   == 'Another operator has taken control.')
+    finally:
+        other.context.close()
+        wait_until(lambda: 'Nobody' in page.page.inner_text('#control'))
+        page.page.click('#take')
+
+
+def test_no_more_pixels_are_drawn_than_the_picture_has(served, page):
+    """Where they are slow; a picture of 128 columns has 49 within 100°, 11 within 30°."""
+    page.page.set_viewport_size({'width': 3840, 'height': 2160})
+    size = '() => [...["width", "height"].map(one => document.getElementById("picture")[one])]'
+    wait_until(lambda: page.page.evaluate(size) == [49, 27], lambda: page.page.evaluate(size))
+    for _ in range(20):
+        page.page.keyboard.press('+')
+    fov_deg = page.number('fov')
+    columns = 128 * np.tan(np.deg2rad(fov_deg) / 2) / np.pi
+    wait_until(lambda: abs(page.page.evaluate(size)[0] - columns) <= 1)
+    for _ in range(20):
+        page.page.keyboard.press('-')
+
+
+@pytest.mark.parametrize('encrypted, secure, advised', [
+    (True, True, False), (False, True, False), (False, False, True)])
+def test_what_the_link_is_made_of_is_said(page, encrypted, secure, advised):
+    text = page.page.evaluate('async link => (await import("/panels.js")).linkText(link)', {
+        'encrypted': encrypted, 'secure': secure, 'slow': True})
+    assert 'JPEG by ' + ('https' if encrypted else 'http,') in text and 'the processor' in text
+    assert ('By https' in text) == advised
+    # This page's, at loopback.
+    page.page.keyboard.press('?')
+    assert 'JPEG by http,' in page.page.inner_text('#link')
+    page.page.keyboard.press('Escape')
 
 
 def test_landmarks(page):

@@ -12,13 +12,12 @@ import asyncio
 from contextlib import asynccontextmanager
 import json
 import os
-import re
 import signal
-import socket
 from struct import unpack_from
 import subprocess
 import sys
 from time import monotonic
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -32,6 +31,8 @@ from tiny_recordings import stamps_of, turning_spheres
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from node_harness import DOMAINS, pixels, rotation, stabilizer, stamp_ns  # noqa: E402, I100
+from sensor_msgs.msg import CompressedImage  # noqa: E402
+from sph_stab_ros.operator.robot import Robot  # noqa: E402
 
 TIMEOUT_S = 30.
 RESEND_S = 0.5
@@ -178,6 +179,15 @@ async def answer_to(url, command):
                 await browser.send_str(json.dumps({'type': command}))
 
 
+def test_a_camera_of_compressed_video_is_told_how_it_can_be_shown():
+    """The page draws JPEG and PNG."""
+    robot = mock.Mock()
+    Robot._encode(robot, CompressedImage(format='h264', data=b'\0\0\0\1'), 0.)
+    robot._pairing.add_picture.assert_not_called()
+    (_, text), _ = robot._log.warn.call_args
+    assert text.endswith('--pictures stabilizer')
+
+
 def test_parameters_that_are_the_stabilizer_s_are_told_of():
     server = operator('--port', '0', '--ros-args', '-p', 'level:=imu', '-p', 'mask:=x')
     try:
@@ -187,37 +197,3 @@ def test_parameters_that_are_the_stabilizer_s_are_told_of():
         errors = server.communicate(timeout=TIMEOUT_S)[1]
     assert ("operator: there is no parameter 'level', 'mask' here; "
             'those of the stabilizer are set at that node\n') in errors
-
-
-def test_the_port_is_taken():
-    with socket.socket() as other:
-        other.bind(('127.0.0.1', 0))
-        other.listen()
-        port = other.getsockname()[1]
-        server = operator('--port', str(port))
-        output, errors = server.communicate(timeout=TIMEOUT_S)
-    assert server.returncode == 1
-    assert not output
-    assert re.fullmatch(r'operator: cannot listen on 127\.0\.0\.1: .+\n', errors), errors
-
-
-def test_the_network_needs_the_token_that_is_printed():
-    server = operator('--host', '0.0.0.0', '--port', '0')
-    try:
-        url = server.stdout.readline().split()[-1]
-        port, token = re.fullmatch(r'http://[^/]+:(\d+)/\?token=([\w-]{20,})', url).groups()
-
-        async def statuses():
-            async with aiohttp.ClientSession() as session:
-                for query in ('', '?token=' + token):
-                    async with session.get(f'http://127.0.0.1:{port}/{query}') as answer:
-                        yield answer.status
-
-        async def collected():
-            return [status async for status in statuses()]
-
-        assert asyncio.run(collected()) == [403, 200]
-    finally:
-        server.send_signal(signal.SIGTERM)
-        assert server.wait(TIMEOUT_S) == 0
-    assert token not in server.stderr.read()

@@ -28,6 +28,9 @@ async def test_page_and_nothing_else(site):
         assert '<main>' in await answer.text()
     async with site.session.get(site.url + '/main.js') as answer:
         assert 'javascript' in answer.content_type
+        assert answer.headers['Cross-Origin-Resource-Policy'] == 'same-origin'
+    # Without its token the page has no other name.
+    assert await site.status('/index.html') == 404
     for path in ('/robot.py', '/..%2frobot.py', '/%2e%2e/robot.py', '/page/main.js'):
         assert await site.status(path) in (403, 404), path
 
@@ -49,10 +52,7 @@ async def test_a_browser_that_draws_nothing_delays_no_other(site):
 @served()
 async def test_a_browser_that_does_not_even_read_delays_no_other(site):
     fast = await site.connect()
-    reader, writer = await asyncio.open_connection('127.0.0.1', site.port, limit=1)
-    writer.write((f'GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{site.port}\r\nOrigin: {site.url}\r\n'
-                  'Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n'
-                  'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n').encode())
+    _, writer = await site.bare_socket()
     await fast.receive('state', lambda state: state['browsers'] == 2)
     for n in range(20):
         site.server.show(picture(n, 3_000_000))
@@ -86,6 +86,36 @@ async def test_control_goes_from_hand_to_hand(site):
     third = await site.connect()
     await third.control('yours')
     await first.control('taken')
+
+
+@served()
+async def test_who_comes_back_is_the_same_and_steers_on(site):
+    """The connection of before went silent without an end that the server could have seen."""
+    other = await site.connect('?page=b')
+    first = await site.connect('?page=a')
+    await first.send('take_control')
+    await first.control('yours')
+    await other.control('taken')
+    again = await site.connect('?page=a')
+    assert (await again.receive('state'))['control'] == 'yours'
+    await first.closed()
+    # Those who do not name themselves are nobody's former selves.
+    strangers = [await site.connect() for _ in range(2)]
+    assert (await other.receive('state', lambda state: state['browsers'] == 4))['control'] \
+        == 'taken', strangers
+
+
+@served()
+async def test_pictures_that_cannot_be_drawn_do_not_count(site):
+    """They make room for the next ones all the same."""
+    browser = await site.connect()
+    for n in range(3 * MAX_UNDRAWN):
+        site.server.show(picture(n))
+        received = await browser.receive('picture')
+        assert int(received['stamp_ns']) == n
+        await browser.send('skipped', sequence=received['sequence'])
+    state = await browser.receive('state')
+    assert state['rate_hz'] == 0 and state['latency_ms'] is None
 
 
 @served(max_clients=2)

@@ -11,10 +11,12 @@
 from fractions import Fraction
 import struct
 
+import cv2
 import numpy as np
 import pytest
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera, zenith_correction_applied
+from sph_stab_ros.recording.video_writer import VideoWriter
 from tiny_recordings import PERIOD_NS, stamps_of, START_NS, textured_sphere, write_video
 
 av = pytest.importorskip('av')
@@ -85,26 +87,35 @@ def test_odd_sizes_are_padded_to_even_ones(tmp_path):
         assert (stream.width, stream.height) == (156, 102)
 
 
-def rotated(path, matrix):
-    """Write the display matrix (a, b, c, d) into an MP4 file's track header."""
-    data = bytearray(path.read_bytes())
-    # Behind the header: version and flags, times, ids, durations, layer, volume.
-    start = data.index(b'tkhd') + 44
-    a, b, c, d = (number * 0x10000 for number in matrix)
-    data[start:start + 20] = struct.pack('>5i', a, b, 0, c, d)
-    path.write_bytes(data)
-    return path
+@pytest.mark.parametrize('error', [KeyboardInterrupt, ZeroDivisionError])
+def test_what_was_written_before_an_error_can_be_read(tmp_path, error):
+    """Somebody may have stopped a long run; the sphere's metadata are in as well."""
+    path = tmp_path / 'a.mp4'
+    with pytest.raises(error), VideoWriter(path, spheres=True) as video:
+        for stamp_ns in stamps_of(5):
+            video.write(IMAGE, int(stamp_ns))
+        raise error
+    assert len(list(open_recording(path).frames())) == 5
+    assert (b'sv3d' in path.read_bytes()) == (error is KeyboardInterrupt)
 
 
-@pytest.mark.parametrize('matrix, turns', [((-1, 0, 0, -1), 2), ((0, 1, -1, 0), 1),
-                                           ((0, -1, 1, 0), 3)])
-def test_pictures_come_upright(tmp_path, matrix, turns):
-    """The container says how to turn them; here they are stored turned by as much."""
-    stored = np.ascontiguousarray(np.rot90(IMAGE, turns))
-    path = rotated(encode(tmp_path / 'a.mp4', 3 * [stored]), matrix)
-    frames = list(open_recording(path).frames())
-    assert len(frames) == 3
-    assert difference(frames[0].image, IMAGE) < 8
+def test_anamorphic_pictures_come_with_square_pixels(tmp_path):
+    """In colour and in grey."""
+    narrow = cv2.resize(IMAGE, (IMAGE.shape[1] * 3 // 4, IMAGE.shape[0]),
+                        interpolation=cv2.INTER_AREA)
+    path = tmp_path / 'a.mp4'
+    with av.open(str(path), 'w') as container:
+        stream = container.add_stream('libx264', rate=25, options={'crf': '5'})
+        stream.height, stream.width = narrow.shape[:2]
+        stream.codec_context.sample_aspect_ratio = Fraction(4, 3)
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(narrow, format='bgr24')))
+        container.mux(stream.encode())
+    frame, = open_recording(path).frames()
+    height, width = IMAGE.shape[0] * 3 // 4, IMAGE.shape[1] * 3 // 4
+    assert frame.size_wh == (width, height) and frame.image.shape == (height, width, 3)
+    small = cv2.resize(IMAGE, (width, height), interpolation=cv2.INTER_AREA)
+    assert difference(frame.image, small) < 4
+    assert difference(frame.grey(0), cv2.cvtColor(small, cv2.COLOR_BGR2GRAY)) < 4
 
 
 def test_pixel_aspect_is_taken_out(shared_data):

@@ -9,19 +9,21 @@
 """A bag of results holds what the node publishes of the same pictures, to the last byte."""
 
 from collections import defaultdict
-from time import monotonic
 from unittest import mock
 
+import numpy as np
 import pytest
 from sph_stab_ros.recording import open_recording
+from sph_stab_ros.recording.bag_writer import BagWriter
 from sph_stab_ros.replay import main as replay
-from tiny_recordings import IMAGE_TOPIC, turning_spheres, write_bag
+from tiny_recordings import IMAGE_TOPIC, stamps_of, turning_spheres, write_bag
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import DOMAINS  # noqa: E402, I100
 from rclpy.publisher import Publisher  # noqa: E402
 from sensor_msgs.msg import CompressedImage  # noqa: E402
-from sph_stab_ros.player import copy_fields, message_type  # noqa: E402
+from sph_stab_ros.player import message_type  # noqa: E402
+from sph_stab_ros.ros.messages import copy_fields  # noqa: E402
 from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
 
 ARGUMENTS = [
@@ -33,11 +35,21 @@ WORDS = [word for one in ARGUMENTS for word in ('-p', one)]
 TF = '/tf'
 
 
-@pytest.fixture(scope='module')
-def camera_bag(tmp_path_factory):
-    """Return a bag of a camera that turns."""
+@pytest.fixture(scope='module', params=['jpeg', 'h264', 'h265', 'av1'])
+def camera_bag(tmp_path_factory, request):
+    """Return a bag of a camera that turns, of one format or another."""
     images, _ = turning_spheres(6)
-    return write_bag(tmp_path_factory.mktemp('camera') / 'bag', images)
+    path = tmp_path_factory.mktemp('camera') / 'bag'
+    if request.param == 'jpeg':
+        return write_bag(path, images)
+    encoded_video = pytest.importorskip('encoded_video')
+    with BagWriter(path) as bag:
+        for (_, data), stamp_ns in zip(
+                encoded_video.encode(images, request.param), stamps_of(6).tolist()):
+            bag.write(IMAGE_TOPIC, bag.type('sensor_msgs/msg/CompressedImage')(
+                header=bag.header(stamp_ns, 'theta_camera'), format=request.param,
+                data=np.frombuffer(data, np.uint8)), stamp_ns)
+    return path
 
 
 @pytest.fixture(scope='module')
@@ -63,7 +75,10 @@ def published(camera_bag):
         with mock.patch.object(Publisher, 'publish', publish), \
                 mock.patch.object(Publisher, 'get_subscription_count', lambda _: 1):
             for _, recorded in open_recording(camera_bag).messages(IMAGE_TOPIC):
-                node._track(copy_fields(recorded, CompressedImage()), monotonic())
+                node._images._on_image(copy_fields(recorded, CompressedImage()))
+                if recorded.format in ('h264', 'h265', 'av1'):
+                    node._images._decode(*node._images._decoding._mailbox.get())
+                node._track(*node._tracking._mailbox.get())
                 node._draw(*node._drawing._mailbox.get())
         node.destroy_node()
     finally:

@@ -8,6 +8,7 @@
 
 """The node's parameters, at the start and live, and the names that are remapped."""
 
+from importlib.util import find_spec
 import os
 from pathlib import Path
 import subprocess
@@ -141,10 +142,13 @@ def test_no_value_and_no_call_ends_the_node(tmp_path):
     (['-p', 'views:=front'], "'views'"),
     (['-p', 'views:=[front-left]'], "'front-left' cannot be a view: letters, digits"),
     (['-p', 'nonsense'], 'nonsense'),
+    (['-p', 'image_transport:=ffmpeg'],
+     'image_transport ffmpeg needs ffmpeg_image_transport_msgs, which is not installed'),
     # What is listened to later, if at all, is checked now.
     (['-p', 'qos_overrides./imu.subscription.reliability:=reliabel'], 'reliabel'),
     (['-p', 'qos_overrides./imu.subscription.depth:=-1'], 'a depth is at least 1'),
     *(pytest.param(*one, marks=pytest.mark.slow) for one in (
+        (['-p', 'image_transport:=foxglove'], 'needs foxglove_msgs, which is not installed'),
         (['-p', 'qos_overrides./image.subscription.reliability:=reliabel'], 'reliabel'),
         (['-p', 'qos_overrides./orientation.publisher.depth:=99999999999999'], 'is at least 1'),
         (['-p', 'qos_overrides./orientation.publisher.reliability:=unknown'], "be 'unknown'"),
@@ -157,6 +161,8 @@ def test_no_value_and_no_call_ends_the_node(tmp_path):
         (['-p', 'view.frame_id:=stabilized_optical'], 'must be different names'))),
 ))
 def test_it_does_not_start_with_wrong_values(arguments, reason):
+    if 'not installed' in reason and find_spec(reason.split()[-5].rstrip(',')):
+        pytest.skip('it is installed')
     done = start('--ros-args', *arguments)
     assert done.returncode == 2
     said = [line for line in done.stderr.splitlines() if line.startswith('stabilizer: ')]

@@ -19,11 +19,11 @@ from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.warp import perspective_view
 from sph_stab_ros.images.codec import fill_image
 from sph_stab_ros.recording.messages import camera_info, orientation, pose
-from sph_stab_ros.ros.one_slot_mailbox import OneSlotMailbox
+from sph_stab_ros.ros.mailbox import Mailbox
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.stabilization.steering import Rates
-from tiny_recordings import textured_sphere
+from tiny_recordings import START_NS, textured_sphere
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
 from geometry_msgs.msg import (  # noqa: E402, I100
@@ -33,6 +33,7 @@ from rclpy.serialization import serialize_message  # noqa: E402
 from sensor_msgs.msg import Image, Imu  # noqa: E402
 from sph_stab_ros.ros import diagnostics, imu_input  # noqa: E402
 from sph_stab_ros.ros.cpu_meter import CpuMeter  # noqa: E402
+from sph_stab_ros.ros.image_input import ReceivedImage  # noqa: E402
 from sph_stab_ros.ros.messages import (  # noqa: E402
     make, rates_from_twist, rotation_from_message)
 from sph_stab_ros.ros.node import StabilizerNode  # noqa: E402
@@ -55,7 +56,7 @@ def test_a_serialized_imu_is_read_as_rclpy_reads_it(frame_id):
 
 
 def test_mailbox_keeps_the_newest_and_counts_the_others():
-    mailbox = OneSlotMailbox()
+    mailbox = Mailbox()
     for item in range(1, 5):
         mailbox.put(item)
     assert (mailbox.get(), mailbox.dropped) == (4, 3)
@@ -63,8 +64,19 @@ def test_mailbox_keeps_the_newest_and_counts_the_others():
     assert (mailbox.get(), mailbox.dropped) == (5, 3)
 
 
+def test_a_larger_mailbox_keeps_the_order_and_gives_up_all_when_it_is_full():
+    """Of video nothing can be decoded behind a gap."""
+    mailbox = Mailbox(3)
+    for item in range(3):
+        mailbox.put(item)
+    assert [mailbox.get(), mailbox.get()] == [0, 1]
+    for item in range(3, 6):
+        mailbox.put(item)
+    assert (mailbox.get(), mailbox.dropped) == (5, 3)
+
+
 def test_mailbox_lets_go_who_waits_when_it_is_closed():
-    mailbox = OneSlotMailbox()
+    mailbox = Mailbox()
     got = []
     waiting = threading.Thread(target=lambda: got.append(mailbox.get()))
     waiting.start()
@@ -189,7 +201,7 @@ def node():
 def test_a_keyframe_that_fails_is_no_refusal_of_its_picture(node):
     image = fill_image(Image(), textured_sphere(256))
     with mock.patch.object(node._stabilizer, 'settle', side_effect=MemoryError('no room')):
-        node._safely(node._track, image, monotonic())
+        node._safely(node._track, ReceivedImage(image, START_NS, 'camera', monotonic()))
     status = node._diagnostics.status(dropped=0, not_drawn=0)
     values = {pair.key: pair.value for pair in status.values}
     assert (values['frames'], values['refused'], status.message) == ('1', '0', 'ok')

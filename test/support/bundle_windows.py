@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.tracking.anchored.bundle_adjustment import Window
-from sph_stab_ros.tracking.anchored.pose_estimation import MAX_INVERSE_DEPTH
+from sph_stab_ros.tracking.anchored.bundle_adjustment import BundleOptions, Window
 from synthetic import random_rotation, unit
 
 SIGMA_RAD = 1e-3
@@ -51,5 +50,5 @@ def perturbed(rng, window, turn_deg=1., move=0.02, depth=0.2):
         R[i] = random_rotation(rng, turn_deg).as_matrix() @ R[i]
     p[free] += rng.normal(0, move, (free.sum(), 3))
     rho = np.minimum(window.inverse_depths * np.exp(rng.normal(0, depth, len(window.x))),
-                     MAX_INVERSE_DEPTH)
+                     BundleOptions.max_inverse_depth)
     return replace(window, R=R, p=p, inverse_depths=rho)

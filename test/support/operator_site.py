@@ -84,6 +84,11 @@ class StrawRobot:
         raise RobotError(f'no {mode}')
 
 
+def frame(opcode, payload=b'', final=True):
+    """Return a WebSocket frame of a browser; masked by zeros, which change nothing."""
+    return bytes((0x80 * final | opcode, 0x80 | len(payload))) + bytes(4) + payload
+
+
 class Browser:
     """The other end of a WebSocket, as the page is."""
 
@@ -126,16 +131,29 @@ class Site:
         self.server, self.robot, self.port = server, robot, port
         self.session, self.warnings = session, warnings
         self.url = f'http://127.0.0.1:{port}'
+        # A TLS context of a browser, where it is needed.
+        self.trusted = None
+
+    async def bare_socket(self):
+        """Open a WebSocket of which every byte is ours; return reader and writer."""
+        reader, writer = await asyncio.open_connection('127.0.0.1', self.port, limit=1)
+        writer.write((
+            f'GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{self.port}\r\nOrigin: {self.url}\r\n'
+            'Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n'
+            'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n').encode())
+        return reader, writer
 
     async def status(self, path, **headers):
         """Return the status of an answer."""
-        async with self.session.get(self.url + path, headers=headers) as answer:
+        async with self.session.get(
+                self.url + path, headers=headers, ssl=self.trusted or True) as answer:
             return answer.status
 
     async def connect(self, query='', **headers):
         """Open a WebSocket as the page does."""
         return Browser(await self.session.ws_connect(
-            f'{self.url}/socket{query}', headers={'Origin': self.url, **headers}))
+            f'{self.url}/socket{query}', headers={'Origin': self.url, **headers},
+            ssl=self.trusted or True))
 
     async def refusal(self, query='', **headers):
         """Return the status with which a WebSocket is refused."""
@@ -145,17 +163,17 @@ class Site:
 
 
 @asynccontextmanager
-async def site(token=None, **options):
+async def site(token=None, tls=None, **options):
     """Serve on a free port."""
     robot, warnings = StrawRobot(), []
     server = OperatorServer(robot, Access('127.0.0.1', token),
                             lambda kind, text: warnings.append(text), **options)
-    runner = await server.start('127.0.0.1', 0)
+    listener = await server.start('127.0.0.1', 0, tls)
     try:
         async with aiohttp.ClientSession() as session:
-            yield Site(server, robot, runner.addresses[0][1], session, warnings)
+            yield Site(server, robot, listener.addresses[0][1], session, warnings)
     finally:
-        await runner.cleanup()
+        await listener.cleanup()
 
 
 def served(**options):

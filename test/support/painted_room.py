@@ -53,7 +53,7 @@ def flight(frames, step_deg=(0.4, 0.9, -0.3), step=(0.02, 0.004, 0.01)):
 
 def tracked(images, tracker=None, **options):
     """Return the TrackedOrientations of images at 30 Hz."""
-    tracker = tracker or AnchoredTracker(WIDTH, **options)
+    tracker = tracker or AnchoredTracker(**options)
     return [tracker.track(image, i * PERIOD_NS) for i, image in enumerate(images)]
 
 

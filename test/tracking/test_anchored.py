@@ -14,9 +14,10 @@ from painted_room import errors_deg, flight, PERIOD_NS, room, tracked, WIDTH
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.tracking.anchored import landmark_map
-from sph_stab_ros.tracking.anchored.body_mask import BodyMask, VisibleWorld
-from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
+from sph_stab_ros.tracking.anchored.body_mask import BodyMask, BodyMaskOptions, VisibleWorld
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MapOptions
+from sph_stab_ros.tracking.anchored.map_initialization import InitializationOptions
+from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import TrackingStatus
 from synthetic import angle_deg, random_rotation
@@ -78,7 +79,7 @@ def test_a_shake_is_followed(step_deg):
 
 def test_after_a_gap_and_a_large_turn_the_place_is_recognised():
     R, p = flight(6)
-    tracker = AnchoredTracker(WIDTH)
+    tracker = AnchoredTracker()
     tracked(map(room, R, p), tracker)
     turned = R[-1] * Rotation.from_euler('YXZ', (115, 10, -8), degrees=True)
     results = [tracker.track(room(turned, p[-1] + 0.02), (40 + i) * PERIOD_NS) for i in range(5)]
@@ -104,9 +105,20 @@ def test_a_black_start_is_waited_through():
     assert errors_deg(results[1:], R).max() < 0.1
 
 
+def test_corners_of_noise_are_no_landmarks():
+    """Where only a pole shows anything: there is texture, there are corners, none has contrast."""
+    rng = np.random.default_rng(0)
+    image = np.uint8(rng.normal(100, 1, (WIDTH // 2, WIDTH)))
+    image[:14] = rng.integers(0, 255, (7, 40)).repeat(2, 0).repeat(8, 1)
+    tracker = AnchoredTracker()
+    statuses = [result.status for result in tracked([image] * 3, tracker)]
+    assert statuses == [TrackingStatus.OK, TrackingStatus.LOST, TrackingStatus.LOST]
+    assert tracker.landmarks_kept == 0
+
+
 def test_an_unknown_place_is_the_start_of_a_new_world():
     R, p = flight(3)
-    tracker = AnchoredTracker(WIDTH, max_prediction_s=0.1)
+    tracker = AnchoredTracker(max_prediction_s=0.1)
     tracked(map(room, R, p), tracker)
     rng = np.random.default_rng(5)
     elsewhere = [np.uint8(rng.integers(0, 255, (10, 20)).repeat(16, 0).repeat(16, 1))
@@ -121,7 +133,7 @@ def test_an_unknown_place_is_the_start_of_a_new_world():
 def test_after_a_long_gap_the_old_world_is_found_again(seed):
     """From where landmarks are not found: far away, turned by any angle, among the same walls."""
     R, p = flight(40)
-    tracker = AnchoredTracker(2 * WIDTH)
+    tracker = AnchoredTracker()
     tracked((room(*one, width=2 * WIDTH) for one in zip(R, p)), tracker)
     rng = np.random.default_rng(seed)
     R_far = random_rotation(rng, 150) * R
@@ -142,25 +154,23 @@ def test_after_a_long_gap_the_old_world_is_found_again(seed):
 def test_large_steps_are_followed_by_features():
     """By 25 degrees and a tenth of the room from picture to picture, nothing of it expected."""
     R, p = flight(8, step_deg=(2., 24., -4.), step=(0.2, 0.03, 0.1))
-    results = tracked((room(*one, width=2 * WIDTH) for one in zip(R, p - p[3])),
-                      AnchoredTracker(2 * WIDTH))
+    results = tracked(room(*one, width=2 * WIDTH) for one in zip(R, p - p[3]))
     assert {one.status for one in results} == {TrackingStatus.OK}
     assert errors_deg(results, R).max() < 0.5
 
 
-def test_features_do_for_the_first_step_too(monkeypatch):
+def test_features_do_for_the_first_step_too():
     """Where landmarks are not found from one picture to the next before parallax has told."""
-    monkeypatch.setattr(MapInitializer, 'localize', lambda *_: None)
+    never = AnchoredOptions(initialization=InitializationOptions(min_agreement=2.))
     R, p = flight(4, step_deg=(2., 24., -4.), step=(0.2, 0.03, 0.1))
-    results = tracked((room(*one, width=2 * WIDTH) for one in zip(R, p)),
-                      AnchoredTracker(2 * WIDTH))
+    results = tracked((room(*one, width=2 * WIDTH) for one in zip(R, p)), options=never)
     assert {one.status for one in results} == {TrackingStatus.OK}
     assert errors_deg(results, R).max() < 0.5
 
 
 def test_another_world_is_not_taken_for_the_old_one():
     R, p = flight(20)
-    tracker = AnchoredTracker(WIDTH)
+    tracker = AnchoredTracker()
     tracked(map(room, R, p), tracker)
     upside_down = [room(*one)[::-1] for one in zip(R, p)]
     results = [tracker.track(image, (100 + i) * PERIOD_NS) for i, image in enumerate(upside_down)]
@@ -173,7 +183,7 @@ def test_another_world_is_not_taken_for_the_old_one():
 def test_lost_twice_it_is_the_first_world_that_is_looked_for():
     R, p = flight(20)
     images = [room(*one) for one in zip(R, p)]
-    tracker = AnchoredTracker(WIDTH)
+    tracker = AnchoredTracker()
     tracked(images, tracker)
     for i, image in enumerate(images[:6]):
         tracker.track(image[::-1].copy(), (100 + i) * PERIOD_NS)
@@ -197,7 +207,7 @@ def with_body(image):
 
 def test_the_body_of_the_robot_is_found_and_left_out():
     R, p = flight(30, step=(0.006, 0.002, 0.004))
-    tracker = AnchoredTracker(WIDTH)
+    tracker = AnchoredTracker()
     results = tracked((with_body(room(*pose)) for pose in zip(R, p)), tracker)
     assert errors_deg(results, R).max() < 0.25
     assert tracker.body_mask[65:78].mean() > 0.5
@@ -212,7 +222,7 @@ def test_nothing_is_looked_for_where_no_lens_shows_anything():
     results = tracked(black_beside)
     assert all(result.status is TrackingStatus.OK for result in results)
     assert errors_deg(results, R).max() < 0.1
-    world = VisibleWorld()
+    world = VisibleWorld(None, BodyMaskOptions())
     world.update(black_beside[0], None)
     seen = cv2.resize(np.uint8(world.pixels()), (WIDTH, WIDTH // 2)) > 0
     assert not (seen & ~shown).any()
@@ -257,20 +267,20 @@ def test_who_walks_along_from_the_first_frame_on_does_not_win(contrast, px_per_f
 
 
 def test_without_a_turn_nothing_is_said_to_stand_still():
-    still = BodyMask()
+    still = BodyMask(BodyMaskOptions())
     for _ in range(5):
         still.update(room(Rotation.identity()), Rotation.identity())
     assert not still.mask.any()
 
 
 def test_a_keyframe_that_fails_is_given_up(monkeypatch):
-    tracker = AnchoredTracker(WIDTH)
+    tracker = AnchoredTracker()
     tried = []
 
-    def fail(self, *keyframe):
-        tried.append(keyframe)
+    def fail(landmark_map):
+        tried.append(landmark_map)
         raise np.linalg.LinAlgError
-    monkeypatch.setattr(AnchoredTracker, '_add_keyframe', fail)
+    monkeypatch.setattr(LandmarkMap, 'adjust', fail)
     for i in range(30):
         try:
             tracker.track(room(Rotation.identity(), (0.05 * i, 0, 0)), i * PERIOD_NS)
@@ -281,9 +291,9 @@ def test_a_keyframe_that_fails_is_given_up(monkeypatch):
     assert tried
 
 
-def test_memory_does_not_grow(monkeypatch):
-    monkeypatch.setattr(landmark_map, 'MAX_KEYFRAMES', 12)
-    tracker = AnchoredTracker(256)
+def test_memory_does_not_grow():
+    options = MapOptions(max_keyframes=12)
+    tracker = AnchoredTracker(options=AnchoredOptions(landmark_map=options))
     kept = []
     for i in range(60):
         to_and_fro = 0.07 * (30 - abs(i - 30)) - 1
@@ -292,4 +302,4 @@ def test_memory_does_not_grow(monkeypatch):
         kept.append((tracker.keyframes_kept, tracker.landmarks_kept))
     keyframes, landmarks = np.transpose(kept)
     assert keyframes.max() == keyframes[-1] == 12
-    assert landmarks.max() < 12 * landmark_map.MAX_LANDMARKS
+    assert landmarks.max() < 12 * options.max_landmarks

@@ -16,9 +16,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored import bundle_adjustment
-from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust
-from sph_stab_ros.tracking.anchored.pose_estimation import CAUCHY, MEDIAN_2D
+from sph_stab_ros.tracking.anchored.bundle_adjustment import BundleOptions
+from sph_stab_ros.tracking.anchored.pose_estimation import MEDIAN_2D
 from synthetic import random_rotation, unit
+
+OPTIONS = BundleOptions()
+
+
+def adjust(window, keep_distance=False, options=OPTIONS):
+    return bundle_adjustment.adjust(window, options, keep_distance)
 
 
 def errors_deg(R, truth):
@@ -40,9 +46,9 @@ def cost(window, adjusted, scale):
     b = unit(np.einsum('mij,mi->mj', adjusted.R[k], z))
     sizes = np.linalg.norm(np.einsum('mki,mi->mk', window.sqrt_information, b - window.y), axis=1)
     if scale is None:
-        scale = np.clip(np.median(sizes) / MEDIAN_2D,
-                        bundle_adjustment.MIN_SCALE, bundle_adjustment.MAX_SCALE)
-    return scale, (CAUCHY ** 2 * np.log1p((sizes / (CAUCHY * scale)) ** 2).sum()
+        scale = np.clip(np.median(sizes) / MEDIAN_2D, OPTIONS.min_scale, OPTIONS.max_scale)
+    width = OPTIONS.cauchy_width
+    return scale, (width ** 2 * np.log1p((sizes / (width * scale)) ** 2).sum()
                    + window.information
                    @ (adjusted.inverse_depths - window.inverse_depths) ** 2)
 
@@ -129,14 +135,14 @@ def test_the_result_turns_with_the_world(keep_distance):
 
 
 @pytest.mark.parametrize('turn_deg, move, depth', ((1, 0.02, 0.2), (20, 0.3, 1.), (90, 1., 2.)))
-def test_no_step_makes_it_worse(turn_deg, move, depth, monkeypatch):
-    monkeypatch.setattr(bundle_adjustment, 'ITERATIONS', 1)
+def test_no_step_makes_it_worse(turn_deg, move, depth):
+    one_step = BundleOptions(max_iterations=1)
     for seed in range(6):
         rng = np.random.default_rng(seed)
         window = perturbed(rng, true_window(rng, 40, SIGMA_RAD), turn_deg, move, depth)
         lower = 0
         for _ in range(6):
-            adjusted = adjust(window)
+            adjusted = adjust(window, options=one_step)
             scale, before = cost(window, window, None)
             _, after = cost(window, adjusted, scale)
             assert after <= before * (1 + 1e-9)

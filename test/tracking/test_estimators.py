@@ -159,19 +159,19 @@ def test_jacobians_are_the_derivatives(seed):
     R, q = random_rotation(rng, 1), unit(rng.normal(size=3))
 
     def M(omega):
-        return moment.directional_moment(pairs, moment._retract(R, omega), 0.01)
+        return moment.directional_moment(pairs, moment.retract(R, omega), 0.01)
 
     def omegas(step):
-        state = epipolar._State(R, q).moved(step)
+        state = epipolar.State(R, q).moved(step)
         return epipolar.flow_angles(pairs, state.R, state.q)
 
     J = numeric_jacobian(M, 3)
-    linearised = moment._linearise(R, pairs, weights, 0.01)
+    linearised = moment.linearise(R, pairs, weights, 0.01)
     np.testing.assert_allclose(linearised.JTJ, J.T @ J, atol=1e-4 * np.abs(J.T @ J).max())
     np.testing.assert_allclose(linearised.JTr, J.T @ M(np.zeros(3)), atol=1e-6 * abs(J).max())
 
     J = numeric_jacobian(omegas, 5)
-    linearised = epipolar._linearise(epipolar._State(R, q), pairs, weights, np.inf)
+    linearised = epipolar.linearise(epipolar.State(R, q), pairs, weights, np.inf)
     np.testing.assert_allclose(
         linearised.JTJ, J.T @ J / 40, atol=1e-4 * np.abs(J.T @ J / 40).max())
     np.testing.assert_allclose(
@@ -223,7 +223,7 @@ def test_without_a_bound_epipolar_is_the_minimum_of_eq_8(seed):
     def cost(state):
         return np.sum(epipolar.flow_angles(pairs, state.R, state.q) ** 2)
 
-    state = epipolar._State(plain.R_current_previous, plain.t_current)
+    state = epipolar.State(plain.R_current_previous, plain.t_current)
     for step in 1e-3 * np.vstack((np.eye(5), -np.eye(5))):
         assert cost(state.moved(step)) > (1 - 1e-5) * cost(state)
     bounded = fit_pts_epipolar(pairs)

@@ -8,24 +8,24 @@
 
 """The map of the anchored tracker: few keyframes, and landmarks where they are wanted."""
 
-from functools import lru_cache
+from dataclasses import fields, FrozenInstanceError, replace
+from functools import lru_cache, partial
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.equirect import pixels_from_bearings
-from sph_stab_ros.tracking.anchored.landmark_map import (
-    ADJUSTED_KEYFRAMES, LandmarkMap, MAX_KEYFRAMES, MAX_LANDMARKS, MIN_DISTANCE_PX,
-    RECENT_KEYFRAMES)
-from sph_stab_ros.tracking.anchored.landmarks import inlier_mask, Landmarks, Observations
-from sph_stab_ros.tracking.anchored.patches import MAX_LATITUDE_RAD, Patches, Pyramid
-from sph_stab_ros.tracking.anchored.pose_estimation import CAUCHY
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MapOptions
+from sph_stab_ros.tracking.anchored.landmarks import Landmarks, Observations
+from sph_stab_ros.tracking.anchored.patches import Pyramid
+from sph_stab_ros.tracking.anchored.pose_estimation import Loss
 from synthetic import angle_deg, random_rotation, textured_sphere, unit
 
 WIDTH = 320
+OPTIONS = MapOptions()
 SIGMA_RAD = 1e-3
-NOTHING = Observations(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3)))
+NOTHING = Observations.none()
 EVERYWHERE = np.ones((1, 2), bool)
 GREY = np.zeros((8, 16), np.uint8)
 
@@ -41,31 +41,37 @@ def add_keyframe(landmark_map, R=Rotation.identity(), position=(0, 0, 0), observ
 
 
 def look_around(landmark_map, grey, usable=EVERYWHERE):
-    landmark_map.add_landmarks(grey, Pyramid(grey), usable)
+    landmark_map.add_landmarks(grey, Pyramid(grey, OPTIONS.patches), usable)
 
 
 def started(grey=None, usable=EVERYWHERE):
     """Return a LandmarkMap of one keyframe and its landmarks."""
-    landmark_map = LandmarkMap()
+    landmark_map = LandmarkMap(OPTIONS)
     add_keyframe(landmark_map)
     look_around(landmark_map, sphere() if grey is None else grey, usable)
     return landmark_map
 
 
-def some_patches(count):
-    """Return any Patches."""
-    x = np.tile((0., 0., 1.), (count, 1))
-    return Patches.cut(Pyramid(sphere()), x, np.roll(x, 1, axis=1), np.roll(x, 2, axis=1))
-
-
 def add_points(landmark_map, x, rho, ids):
     """Let the last keyframe host landmarks along x (N, 3) in its camera, at known depths."""
     n = len(ids)
-    new = Landmarks(ids, np.full(n, landmark_map.keyframes[-1].number), x, x, x, rho, np.ones(n),
-                    np.zeros(n, int), np.zeros(n, int), np.ones(n, bool),
-                    landmark_map.store.put(some_patches(n)))
-    known = landmark_map.landmarks
-    landmark_map.landmarks = new if known is None else Landmarks.joined((known, new))
+    landmark_map.add(replace(
+        Landmarks.new(ids[0], landmark_map.keyframes[-1].number, (x, x, x), 1., 1.,
+                      np.zeros(n, int)), inverse_depth=rho))
+
+
+def let_rest(landmark_map, resting):
+    """Deactivate some landmarks, (N,) bool, the way that it happens: they are not seen."""
+    seen, nothing = np.flatnonzero(~resting), np.empty(0, int)
+    for rows in (nothing,) * OPTIONS.landmarks.max_missed:
+        landmark_map.judge(rows, np.empty(0, bool), np.empty(0))
+    landmark_map.wake(seen)
+
+
+def let_be(landmark_map, inverse_depths):
+    """Let all landmarks have agreed at such inverse depths."""
+    rows = np.arange(len(landmark_map.landmarks))
+    landmark_map.judge(rows, np.ones(len(rows), bool), np.broadcast_to(inverse_depths, len(rows)))
 
 
 def seen_from(landmark_map, R, position):
@@ -79,7 +85,7 @@ def seen_from(landmark_map, R, position):
 
 def travelled(rng, keyframes, points=25):
     """Return a true LandmarkMap after a journey; each keyframe hosts some points, sees all."""
-    landmark_map = LandmarkMap()
+    landmark_map = LandmarkMap(OPTIONS)
     for i in range(keyframes):
         R, position = random_rotation(rng, 5 * i), 0.1 * i * np.array((1., 0.2, 0.4))
         observations = NOTHING if i == 0 else seen_from(landmark_map, R, position)
@@ -104,7 +110,7 @@ def distances_px(uv):
 
 def test_landmarks_are_new_rising_and_at_the_corners_of_their_host():
     landmarks = started().landmarks
-    assert 100 < len(landmarks) <= MAX_LANDMARKS
+    assert 100 < len(landmarks) <= OPTIONS.max_landmarks
     assert (np.diff(landmarks.number) > 0).all()
     assert (landmarks.host == 0).all() and landmarks.active.all()
     axes = np.stack((landmarks.x, landmarks.east, landmarks.south), axis=1)
@@ -115,34 +121,33 @@ def test_landmarks_are_new_rising_and_at_the_corners_of_their_host():
 
 def test_landmarks_keep_their_distance_and_away_from_the_poles():
     landmarks = started().landmarks
-    assert distances_px(pixels(landmarks)).min() > MIN_DISTANCE_PX - 1e-6
-    assert np.abs(np.arcsin(landmarks.x[:, 1])).max() < MAX_LATITUDE_RAD
+    assert distances_px(pixels(landmarks)).min() > OPTIONS.corners.min_distance_px - 1e-6
+    assert np.abs(np.arcsin(landmarks.x[:, 1])).max() < OPTIONS.patches.max_latitude_rad
 
 
 def test_new_landmarks_keep_away_from_those_that_are_looked_for():
     rng = np.random.default_rng(1)
     landmark_map = started()
-    landmarks = landmark_map.landmarks
-    landmarks.active[:] = rng.random(len(landmarks)) < 0.5
-    active = np.flatnonzero(landmarks.active)
+    let_rest(landmark_map, rng.random(len(landmark_map.landmarks)) < 0.5)
+    active = np.flatnonzero(landmark_map.landmarks.active)
     R = random_rotation(rng, 40)
     add_keyframe(landmark_map, R)
     look_around(landmark_map, textured_sphere(WIDTH, R))
     landmarks = landmark_map.landmarks
     new = landmarks.host == 1
     assert new.sum() > 30
-    assert landmarks.active.sum() <= MAX_LANDMARKS
+    assert landmarks.active.sum() <= OPTIONS.max_landmarks
     assert landmarks.number[new].min() > landmarks.number[~new].max()
     there = pixels_from_bearings(R.inv().apply(landmarks.x[active]), WIDTH)
     distance = np.linalg.norm(there[:, None] - pixels(landmarks[new]), axis=2)
     # Pixels are whole.
-    assert distance.min() > MIN_DISTANCE_PX - 1
+    assert distance.min() > OPTIONS.corners.min_distance_px - 1
 
 
 def test_new_landmarks_are_as_far_as_the_others_in_the_median():
     landmark_map = started()
-    landmark_map.landmarks.inverse_depth[:] = 0.4
-    landmark_map.landmarks.active[::2] = False
+    let_be(landmark_map, 0.4)
+    let_rest(landmark_map, np.arange(len(landmark_map.landmarks)) % 2 == 0)
     add_keyframe(landmark_map)
     look_around(landmark_map, sphere())
     new = landmark_map.landmarks.host == 1
@@ -153,8 +158,8 @@ def test_new_landmarks_are_as_far_as_the_others_in_the_median():
 def test_where_enough_are_looked_for_none_are_added():
     landmark_map = started()
     known = landmark_map.landmarks
-    while len(landmark_map.landmarks) < MAX_LANDMARKS:
-        landmark_map.landmarks = Landmarks.joined((landmark_map.landmarks, known))
+    while len(landmark_map.landmarks) < OPTIONS.max_landmarks:
+        landmark_map.add(known)
     before = len(landmark_map.landmarks)
     add_keyframe(landmark_map)
     look_around(landmark_map, sphere(seed=1))
@@ -177,23 +182,23 @@ def test_landmarks_are_where_they_may_be(shape):
     (100 + sphere() // 64, EVERYWHERE),
     (sphere(), ~EVERYWHERE)))
 def test_without_texture_or_room_there_are_none(grey, usable):
-    landmark_map = LandmarkMap()
+    landmark_map = LandmarkMap(OPTIONS)
     add_keyframe(landmark_map)
     look_around(landmark_map, grey, usable)
-    assert landmark_map.landmarks is None or len(landmark_map.landmarks) == 0
+    assert len(landmark_map.landmarks) == 0
 
 
 def test_the_map_stays_small_and_keeps_its_first_and_last_keyframes():
     rng = np.random.default_rng(2)
-    landmark_map = LandmarkMap()
-    for i in range(MAX_KEYFRAMES + 30):
+    landmark_map = LandmarkMap(OPTIONS)
+    for i in range(OPTIONS.max_keyframes + 30):
         add_keyframe(landmark_map, position=rng.normal(size=3))
         add_points(landmark_map, unit(rng.normal(size=(2, 3))), np.ones(2), 2 * i + np.arange(2))
         landmark_map.shrink()
         ids = [one.number for one in landmark_map.keyframes]
-        assert len(ids) == min(i + 1, MAX_KEYFRAMES)
+        assert len(ids) == min(i + 1, OPTIONS.max_keyframes)
         assert ids[0] == 0
-        assert ids[-RECENT_KEYFRAMES:] == list(range(i + 1))[-RECENT_KEYFRAMES:]
+        assert ids[-OPTIONS.recent_keyframes:] == list(range(i + 1))[-OPTIONS.recent_keyframes:]
         assert ids == sorted(set(ids))
     # With the keyframes go the landmarks that they host, and no others.
     np.testing.assert_array_equal(landmark_map.landmarks.host, np.repeat(ids, 2))
@@ -201,19 +206,19 @@ def test_the_map_stays_small_and_keeps_its_first_and_last_keyframes():
 
 def test_of_many_keyframes_one_goes_that_has_another_one_near():
     landmark_map = started()
-    positions = [(float(i), 0, 0) for i in range(MAX_KEYFRAMES)]
+    positions = [(float(i), 0, 0) for i in range(OPTIONS.max_keyframes)]
     positions[20] = (19.1, 0, 0)
     for position in positions:
         add_keyframe(landmark_map, position=position)
     landmark_map.shrink()
     ids = {one.number for one in landmark_map.keyframes}
-    gone = set(range(MAX_KEYFRAMES + 1)) - ids
+    gone = set(range(OPTIONS.max_keyframes + 1)) - ids
     assert len(gone) == 1 and gone <= {20, 21}
 
 
 def test_landmarks_are_found_in_the_direction_and_at_the_depth_they_are():
     rng = np.random.default_rng(3)
-    landmark_map = travelled(rng, MAX_KEYFRAMES + 4, points=3)
+    landmark_map = travelled(rng, OPTIONS.max_keyframes + 4, points=3)
     rows = rng.permutation(len(landmark_map.landmarks))[:20]
     position = rng.normal(size=3)
     keyframes = {one.number: one for one in landmark_map.keyframes}
@@ -228,11 +233,10 @@ def test_landmarks_are_found_in_the_direction_and_at_the_depth_they_are():
 def test_near_are_those_at_rest_whose_hosts_are_nearest(count):
     rng = np.random.default_rng(4)
     landmark_map = travelled(rng, 10, points=10)
-    landmarks = landmark_map.landmarks
-    landmarks.active[:] = rng.random(len(landmarks)) < 0.4
+    let_rest(landmark_map, rng.random(len(landmark_map.landmarks)) >= 0.4)
     position = landmark_map.keyframes[6].position + 0.01
     rows = landmark_map.near(position, count)
-    inactive = np.flatnonzero(~landmarks.active)
+    inactive = np.flatnonzero(~landmark_map.landmarks.active)
     assert len(rows) == min(count, len(inactive))
     assert (np.diff(rows) > 0).all() and np.isin(rows, inactive).all()
     _, origins = landmark_map.hosts(inactive)
@@ -246,19 +250,20 @@ def test_near_none_at_rest_there_is_nothing():
 
 
 # With few keyframes, with more than are adjusted, and with gaps among them.
-@pytest.mark.parametrize('count', (2, 5, ADJUSTED_KEYFRAMES + 4, MAX_KEYFRAMES + 5))
+@pytest.mark.parametrize('count', (
+    2, 5, OPTIONS.adjusted_keyframes + 4, OPTIONS.max_keyframes + 5))
 def test_disturbed_keyframes_and_landmarks_come_back(count):
     rng = np.random.default_rng(5)
     landmark_map = travelled(rng, count, points=60 if count < 10 else 8)
-    keyframes, landmarks = landmark_map.keyframes, landmark_map.landmarks
-    first = max(len(keyframes) - ADJUSTED_KEYFRAMES, 1)
+    keyframes = landmark_map.keyframes
+    first = max(len(keyframes) - OPTIONS.adjusted_keyframes, 1)
     truth = [(one.R, one.position) for one in keyframes]
     for one in keyframes[first:]:
         one.R = random_rotation(rng, 0.5).as_matrix() @ one.R
         one.position = one.position + rng.normal(0, 0.005, 3)
     distance = np.linalg.norm(keyframes[-1].position)
-    true_depths = landmarks.inverse_depth.copy()
-    landmarks.inverse_depth *= np.exp(rng.normal(0, 0.05, len(landmarks)))
+    true_depths = landmark_map.landmarks.inverse_depth
+    let_be(landmark_map, true_depths * np.exp(rng.normal(0, 0.05, len(true_depths))))
     landmark_map.adjust()
     ratio = np.linalg.norm(keyframes[-1].position) / np.linalg.norm(truth[-1][1])
     # What is the unit of length in the beginning stays so.
@@ -275,6 +280,58 @@ def test_disturbed_keyframes_and_landmarks_come_back(count):
     hosted = landmark_map.landmarks.host < keyframes[-1].number
     error = landmark_map.landmarks.inverse_depth * ratio - true_depths
     assert np.median(np.abs(error[hosted])) < 2e-3
+
+
+def test_nobody_but_the_map_writes_what_becomes_of_landmarks():
+    landmark_map = started()
+    landmarks = landmark_map.landmarks
+    for one in fields(landmarks):
+        with pytest.raises(ValueError):
+            getattr(landmarks, one.name)[:1] = 0
+        with pytest.raises(FrozenInstanceError):
+            setattr(landmarks, one.name, 0)
+    with pytest.raises(AttributeError):
+        landmark_map.landmarks = landmarks
+
+
+def test_a_landmark_has_a_say_once_it_has_agreed_for_long_and_until_it_disagrees():
+    landmark_map = started()
+    one, depths = np.array((3,)), np.array((0.5,))
+    judge = partial(landmark_map.judge, one, inverse_depths=depths)
+    for _ in range(OPTIONS.landmarks.mature_frames):
+        assert not landmark_map.is_mature(one)
+        judge(np.array((True,)))
+    assert landmark_map.is_mature(one)
+    assert landmark_map.landmarks.inverse_depth[one] == depths
+    judge(np.array((False,)))
+    assert not landmark_map.is_mature(one)
+    for _ in range(5):
+        judge(np.array((False,)))
+    assert not landmark_map.landmarks.active[one]
+
+
+@pytest.mark.parametrize('for_good', (True, False))
+def test_what_is_not_seen_for_long_rests_until_it_is_woken(for_good):
+    landmark_map = started()
+    seen = np.arange(0, len(landmark_map.landmarks), 3)
+    resting = np.setdiff1d(np.arange(len(landmark_map.landmarks)), seen)
+    for _ in range(OPTIONS.landmarks.max_missed):
+        assert landmark_map.landmarks.active.all()
+        landmark_map.judge(seen, np.ones(len(seen), bool), np.ones(len(seen)), for_good)
+    np.testing.assert_array_equal(np.flatnonzero(~landmark_map.landmarks.active), resting)
+    landmark_map.wake(resting[:5])
+    np.testing.assert_array_equal(np.flatnonzero(~landmark_map.landmarks.active), resting[5:])
+
+
+def test_by_a_pose_that_may_be_wrong_nobody_is_judged_for_good():
+    landmark_map = started()
+    rows = np.arange(len(landmark_map.landmarks))
+    agreeing = rows % 2 == 0
+    for _ in range(20):
+        landmark_map.judge(rows, agreeing, np.ones(len(rows)), for_good=False)
+        np.testing.assert_array_equal(landmark_map.is_mature(rows), agreeing)
+        assert landmark_map.landmarks.active.all()
+        agreeing = ~agreeing
 
 
 def test_landmarks_that_go_their_own_way_are_given_up():
@@ -296,10 +353,10 @@ def test_landmarks_that_go_their_own_way_are_given_up():
 
 
 def test_trust_falls_with_size_and_rises_with_scale():
-    sizes = np.linspace(0, 10, 50)
+    loss, sizes = Loss(), np.linspace(0, 10, 50)
     for scale in (0.5, 1., 2.):
-        assert inlier_mask(sizes, scale)[0] and not inlier_mask(sizes, scale)[-1]
-        assert (np.diff(inlier_mask(sizes, scale).astype(int)) <= 0).all()
-        quarter = CAUCHY * scale * np.sqrt(3)
+        assert loss.inliers(sizes, scale)[0] and not loss.inliers(sizes, scale)[-1]
+        assert (np.diff(loss.inliers(sizes, scale).astype(int)) <= 0).all()
+        quarter = loss.width * scale * np.sqrt(3)
         np.testing.assert_array_equal(
-            inlier_mask(quarter * np.array((0.99, 1.01)), scale), (True, False))
+            loss.inliers(quarter * np.array((0.99, 1.01)), scale), (True, False))

@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust
-from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
+from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, BundleOptions
+from sph_stab_ros.tracking.anchored.lens_misalignment import (
+    apart, lens_equations, Lenses, LensOptions)
 from synthetic import angle_deg, unit
 from test_bundle_adjustment import perturbed, true_window
 
@@ -24,13 +25,14 @@ STITCH_RAD = np.deg2rad((0.2, -0.15, 0.25))
 
 def learnt(rng, stitch_rad, noise_rad=2e-4, rounds=20):
     """Return the Lenses of a camera with such a stitch error, that turns and moves."""
-    lenses = Lenses()
+    lenses = Lenses(LensOptions())
     for _ in range(rounds):
         window = true_window(rng, noise_rad=noise_rad)
         seen = apart(np.stack((window.x, window.x)).reshape(-1, 3), -stitch_rad)
         window = replace(window, x=lenses.corrected(seen[:len(window.x)]),
                          y=lenses.corrected(apart(window.y, -stitch_rad)))
-        lenses.learn(*lens_equations(window, adjust(perturbed(rng, window, 0.1, 1e-3, 0.05))))
+        adjusted = adjust(perturbed(rng, window, 0.1, 1e-3, 0.05), BundleOptions())
+        lenses.learn(*lens_equations(window, adjusted))
     return lenses
 
 
@@ -54,7 +56,7 @@ def test_what_is_well_stitched_is_left_alone():
 
 
 def test_what_is_not_known_of_the_lenses_grows_with_the_turn():
-    lenses = Lenses()
+    lenses = Lenses(LensOptions())
     sigmas = [np.sqrt(lenses.covariance(Rotation.from_rotvec((0, angle, 0)))[0, 0])
               for angle in (0, 0.5, 1, 3)]
     assert sigmas[0] == 0
@@ -64,6 +66,6 @@ def test_what_is_not_known_of_the_lenses_grows_with_the_turn():
 def test_a_turn_of_the_camera_is_no_stitch_error():
     rng = np.random.default_rng(4)
     window = true_window(rng)
-    H, g = lens_equations(window, adjust(perturbed(rng, window)))
+    H, g = lens_equations(window, adjust(perturbed(rng, window), BundleOptions()))
     assert np.linalg.eigvalsh(H).min() > 0
     assert angle_deg(Rotation.from_rotvec(np.linalg.solve(H, g)), Rotation.identity()) < 1e-3

@@ -17,14 +17,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.equirect import bearing_grid, pixels_from_bearings
-from sph_stab_ros.tracking.anchored.localization import (
-    MAX_LAST_STEP_PX, MAX_OFFSET_PX, MIN_CORRELATION)
-from sph_stab_ros.tracking.anchored.patches import MIN_CONTRAST, Patches, Pyramid
+from sph_stab_ros.tracking.anchored.localization import SearchOptions
+from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from sph_stab_ros.tracking.anchored.table import Table
 from synthetic import random_rotation, textured_sphere, unit
 
 WIDTH = 480
 PX_PER_RAD = WIDTH / (2 * np.pi)
+SEARCH = SearchOptions()
 
 
 @lru_cache(maxsize=4)
@@ -39,7 +39,7 @@ def seen_by(R, seed=0):
 
 
 def pyramid(image):
-    return Pyramid(np.uint8(np.rint(image)))
+    return Pyramid(np.uint8(np.rint(image)), PatchOptions())
 
 
 def cut(image):
@@ -142,7 +142,7 @@ def test_what_has_come_nearer_or_gone_is_found_so_much_larger_or_smaller(scale, 
         patches, image, where, (1., -1.), np.array((scale,)))
     _, as_far, _ = find(patches, image, where)
     assert np.linalg.norm(error) < 0.1
-    assert last_step_px[0] < MAX_LAST_STEP_PX
+    assert last_step_px[0] < SEARCH.max_last_step_px
     assert correlation[0] > 0.99 > 0.9 > as_far[0]
 
 
@@ -151,22 +151,22 @@ def test_something_else_is_not_taken_for_a_patch():
 
     def found(image):
         offsets_px, correlation, last_step_px = find(patches, image, where)
-        return ((correlation > MIN_CORRELATION) & (last_step_px < MAX_LAST_STEP_PX)
-                & (np.linalg.norm(offsets_px, axis=1) < MAX_OFFSET_PX)), correlation
+        return ((correlation > SEARCH.min_correlation) & (last_step_px < SEARCH.max_last_step_px)
+                & (np.linalg.norm(offsets_px, axis=1) < SEARCH.max_offset_px)), correlation
     same, correlation = found(picture())
     assert same.all() and correlation.min() > 0.99
     other, correlation = found(picture(seed=1))
     assert other.mean() < 0.15
-    assert np.median(correlation) < MIN_CORRELATION
+    assert np.median(correlation) < SEARCH.min_correlation
 
 
 def test_in_a_plain_picture_nothing_is_found_and_nothing_breaks():
     where, patches = cut(picture())
     error, correlation, _ = find(patches, np.full((WIDTH // 2, WIDTH), 90.), where)
     assert np.isfinite(error).all()
-    assert correlation.max() < MIN_CORRELATION
+    assert correlation.max() < SEARCH.min_correlation
     plain = Patches.cut(pyramid(np.full((WIDTH // 2, WIDTH), 90.)), *where)
-    assert plain.deviations.max() < MIN_CONTRAST
+    assert plain.deviations.max() < PatchOptions.min_contrast
     assert np.isfinite(find(plain, picture(), where)[0]).all()
 
 

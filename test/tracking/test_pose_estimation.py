@@ -16,14 +16,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored.pose_estimation import (
-    cauchy_weights, fit_depths, fit_pose, MAX_INVERSE_DEPTH, MIN_SCALE, Points, STEP_TOLERANCE)
+    fit_depths, fit_pose, Loss, Points, PoseOptions)
 from sph_stab_ros.tracking.anchored.pose_hypotheses import (
-    agreement, fit_poses_among_movers, places)
+    agreement, fit_poses_among_movers, HypothesisOptions, places)
 from synthetic import angle_deg, random_rotation, unit
+
+OPTIONS = PoseOptions()
+AMONG_MOVERS = HypothesisOptions()
 
 
 def fit(seen, estimator=fit_pose, R=Rotation.identity(), position=HERE, sigma=1.):
-    return estimator(seen, R, position, sigma)
+    return estimator(seen, R, position, sigma, OPTIONS)
 
 
 def turned(seen, R_world, R_camera):
@@ -121,9 +124,9 @@ def test_the_whole_turns_with_the_points(seed):
                 position=world.apply(POSITION / 2))
     # The last step may be left out in one and not in the other.
     left = other.R_camera_world * world * plain.R_camera_world.inv() * mount.inv()
-    assert left.magnitude() < 2 * STEP_TOLERANCE
+    assert left.magnitude() < 2 * OPTIONS.step_tolerance
     np.testing.assert_allclose(other.position, world.apply(plain.position),
-                               atol=2 * STEP_TOLERANCE)
+                               atol=2 * OPTIONS.step_tolerance)
     np.testing.assert_allclose(other.inverse_depths, plain.inverse_depths, atol=1e-3)
     np.testing.assert_allclose(other.weights, plain.weights, atol=0.02)
     axes = np.zeros((6, 6))
@@ -157,12 +160,12 @@ def test_a_depth_known_as_well_as_it_is_seen_ends_half_way(estimator):
     guess = replace(seen, inverse_depths=seen.inverse_depths + 1e-5)
     pose = fit(seen, R=R, position=POSITION)
     if estimator is fit_pose:
-        guess = replace(guess, information=moves ** 2 / MIN_SCALE ** 2)
+        guess = replace(guess, information=moves ** 2 / Loss.min_scale ** 2)
         # The pose is held by points whose depths are known.
         both = Points.joined((guess[:20], seen))
         rho = fit(both, R=R, position=POSITION).inverse_depths[:20]
     else:
-        rho = fit_depths(replace(guess, information=moves ** 2), pose).inverse_depths[:20]
+        rho = fit_depths(replace(guess, information=moves ** 2), pose, OPTIONS).inverse_depths[:20]
     np.testing.assert_allclose(rho - seen.inverse_depths[:20], 0.5e-5, rtol=0.05)
 
 
@@ -192,7 +195,7 @@ def test_at_a_known_pose_depths_are_found_and_the_pose_is_left_alone():
     seen.origins[1], seen.y[1] = POSITION, R.apply(seen.x[1])
     seen = replace(seen, sqrt_information=tangents(seen.y))
     guess = np.full(len(seen), 0.6)
-    estimate = fit_depths(replace(seen, inverse_depths=guess), pose)
+    estimate = fit_depths(replace(seen, inverse_depths=guess), pose, OPTIONS)
     baseline = np.linalg.norm(np.cross(seen.x, POSITION - seen.origins), axis=1)
     told = baseline > 0.05
     np.testing.assert_allclose(estimate.inverse_depths[told], seen.inverse_depths[told], atol=2e-3)
@@ -209,8 +212,8 @@ def test_depths_stay_between_infinity_and_the_nearest():
     seen = points(rng, Rotation.identity(), POSITION, information=1e-3)
     anywhere = replace(seen, y=unit(rng.normal(size=seen.y.shape)))
     anywhere = replace(anywhere, sqrt_information=tangents(anywhere.y))
-    for rho in (fit_depths(anywhere, pose).inverse_depths, fit(anywhere).inverse_depths):
-        assert rho.min() >= 0 and rho.max() <= MAX_INVERSE_DEPTH
+    for rho in (fit_depths(anywhere, pose, OPTIONS).inverse_depths, fit(anywhere).inverse_depths):
+        assert rho.min() >= 0 and rho.max() <= OPTIONS.max_inverse_depth
         assert (rho == 0).any()
 
 
@@ -231,7 +234,7 @@ def with_somebody(rng, R, width_deg, centre_deg, share=0.45, count=400):
 def fit_among_movers(seen, R=Rotation.identity(), position=HERE, sigma=1.):
     """Return the best of the poses, and the costs of all."""
     poses, costs = fit_poses_among_movers(
-        seen, [(R, position)], sigma, np.random.default_rng(0))
+        seen, [(R, position)], sigma, np.random.default_rng(0), AMONG_MOVERS)
     return poses[np.argmin(costs)], costs
 
 
@@ -261,7 +264,7 @@ def test_two_groups_of_unknown_depths_are_told_apart(seed):
     seen = replace(seen, inverse_depths=np.ones(len(seen)), sqrt_information=tangents(seen.y))
     estimate, _ = fit_among_movers(seen, R=own)
     assert angle_deg(estimate.R_camera_world, R) < 0.06
-    held = cauchy_weights(estimate.sizes, estimate.scale) > 0.25
+    held = OPTIONS.loss.inliers(estimate.sizes, estimate.scale)
     assert held[:250].mean() > 0.9 and held[250:].mean() < 0.3
 
 
@@ -276,7 +279,7 @@ def test_where_all_is_one_scene_nothing_else_is_tried():
 
 def test_places_are_of_equal_size():
     y = unit(np.random.default_rng(14).normal(size=(100_000, 3)))
-    place, count = places(y)
+    place, count = places(y, AMONG_MOVERS.place_rad)
     np.testing.assert_array_equal(np.bincount(place), count)
     # But for those at the poles.
     assert np.percentile(count, 90) / np.percentile(count, 10) < 1.5
@@ -286,8 +289,8 @@ def test_agreement_counts_places():
     crowd = np.tile((0., 0., 1.), (90, 1))
     elsewhere = np.array(((1., 0, 0), (-1, 0, 0), (0, 0, -1)))
     y = np.concatenate((crowd, elsewhere))
-    assert agreement(y, np.arange(93) < 90) == pytest.approx(1 / 4)
-    assert agreement(y, np.arange(93) >= 90) == pytest.approx(3 / 4)
+    assert agreement(y, np.arange(93) < 90, AMONG_MOVERS) == pytest.approx(1 / 4)
+    assert agreement(y, np.arange(93) >= 90, AMONG_MOVERS) == pytest.approx(3 / 4)
 
 
 def test_some_of_the_points_are_those_points():
@@ -299,7 +302,7 @@ def test_some_of_the_points_are_those_points():
     np.testing.assert_array_equal(some.origins, seen[[0, 2, 3]].origins)
 
 
-def best_among_movers(seen, R, position, sigma):
+def best_among_movers(seen, R, position, sigma, _):
     """Return what fit_pose does, where much may move by itself."""
     return fit_among_movers(seen, R, position, sigma)[0]
 
@@ -318,9 +321,9 @@ def test_the_unit_of_length_does_not_matter(unit_ratio, estimator):
                 estimator, position=unit_ratio * guess, sigma=0.5 * unit_ratio)
     # The last step may be left out in one and not in the other.
     left = other.R_camera_world * plain.R_camera_world.inv()
-    assert left.magnitude() < 2 * STEP_TOLERANCE
+    assert left.magnitude() < 2 * OPTIONS.step_tolerance
     np.testing.assert_allclose(other.position / unit_ratio, plain.position,
-                               atol=2 * STEP_TOLERANCE)
+                               atol=2 * OPTIONS.step_tolerance)
     # A redescending loss settles slowly, and its last depths are not waited for.
     np.testing.assert_allclose(other.inverse_depths * unit_ratio, plain.inverse_depths,
                                atol=1e-3 if estimator is fit_pose else 5e-3)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.tracking.anchored.relocalization import (
-    MAX_PICTURES, Relocalizer, turn_with_less_parallax)
+    RelocalizationOptions, Relocalizer, turn_with_less_parallax)
 from sph_stab_ros.tracking.frame_to_frame.estimators.base import BearingPairs
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import fit_essential
 from synthetic import angle_deg, random_rotation, unit
@@ -42,8 +42,9 @@ def test_without_translation_the_turn_is_found_as_well():
 
 def test_so_many_pictures_are_tried():
     grey, used = np.zeros((80, 160), np.uint8), np.ones((80, 160), bool)
-    recognition = Relocalizer([], grey, Rotation.identity(), used)
-    for _ in range(MAX_PICTURES - 1):
+    options = RelocalizationOptions(max_pictures=5)
+    recognition = Relocalizer([], grey, Rotation.identity(), used, options)
+    for _ in range(options.max_pictures - 1):
         assert recognition.is_over
         recognition = recognition.with_another(grey, Rotation.identity())
     assert recognition.with_another(grey, Rotation.identity()) is None

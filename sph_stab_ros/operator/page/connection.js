@@ -5,21 +5,28 @@
 
 import {decode} from './decoder.js';
 
-const FIRST_RETRY_MS = 300, LAST_RETRY_MS = 3000;
-const FULL = 1013, REFUSED = 1008;
+const FIRST_RETRY_MS = 300, LAST_RETRY_MS = 1000;
+// The server tells its state five times a second: a connection as silent as that is dead, also if
+// nobody has closed it.
+const CHECK_MS = 250, SILENT_CHECKS = 8;
+const FULL = 1013, REFUSED = 1008, FORBIDDEN = 403;
+const MOVED = 'The address has changed: open the one that the operator command has printed.';
+// Tells the server that it is we who come back, not somebody else.
+const PAGE = Array.from(crypto.getRandomValues(new Uint32Array(4)), n => n.toString(36)).join('');
 
 export class Connection {
   // handlers: picture({sequence, stamp_ns, orientation, image}), state(…), notice(…),
-  // open(), closed(reason).
+  // open(), closed(reason), and maxColumns(), that the image may have.
   constructor(handlers) {
     this.handlers = handlers;
     this.retryMs = FIRST_RETRY_MS;
     this.#open();
+    setInterval(() => this.#check(), CHECK_MS);
   }
 
   // Sends a command; false where there is no connection.
   send(type, values = {}) {
-    if (this.socket.readyState !== WebSocket.OPEN) return false;
+    if (this.socket?.readyState !== WebSocket.OPEN) return false;
     this.socket.send(JSON.stringify({type, ...values}));
     return true;
   }
@@ -27,13 +34,21 @@ export class Connection {
   #open() {
     const url = new URL('socket' + location.search, location.href);
     url.protocol = url.protocol === 'https:' ? 'wss:' : 'ws:';
+    url.searchParams.set('page', PAGE);
     const socket = this.socket = new WebSocket(url);
-    const decoder = new PictureDecoder(picture => {
-      if (socket === this.socket) this.handlers.picture(picture);
-    });
+    // What comes late from a connection that was given up counts no more.
+    const ifCurrent = handler => event => socket === this.socket && handler(event);
+    const decoder = new PictureDecoder(
+      ifCurrent(this.handlers.picture), this.handlers.maxColumns);
+    let opened = false;
+    this.checks = 0;
     socket.binaryType = 'arraybuffer';
-    socket.onopen = () => this.handlers.open();
-    socket.onmessage = ({data}) => {
+    socket.onopen = ifCurrent(() => {
+      opened = true;
+      this.handlers.open();
+    });
+    socket.onmessage = ifCurrent(({data}) => {
+      this.checks = 0;
       this.retryMs = FIRST_RETRY_MS;
       if (typeof data !== 'string') {
         decoder.take(data);
@@ -41,20 +56,41 @@ export class Connection {
       }
       const message = JSON.parse(data);
       this.handlers[message.type](message);
-    };
-    socket.onclose = ({code, reason}) => {
-      this.handlers.closed(code === FULL ? 'All places are taken: close the page elsewhere.'
+    });
+    socket.onclose = ifCurrent(({code, reason}) => {
+      this.#lost(code === FULL ? 'All places are taken: close the page elsewhere.'
         : code === REFUSED ? `The server refused this page: ${reason}.` : '');
-      setTimeout(() => this.#open(), this.retryMs);
-      this.retryMs = Math.min(2 * this.retryMs, LAST_RETRY_MS);
-    };
+      if (!opened) this.#askWhy();
+    });
+  }
+
+  // Counted, not timed: a page that was held up has not listened meanwhile.
+  #check() {
+    if (!this.socket || ++this.checks < SILENT_CHECKS) return;
+    this.socket.close();
+    this.#lost('');
+  }
+
+  #lost(reason) {
+    this.socket = null;
+    this.handlers.closed(reason);
+    setTimeout(() => this.#open(), this.retryMs);
+    this.retryMs = Math.min(2 * this.retryMs, LAST_RETRY_MS);
+  }
+
+  // Of a WebSocket that is refused the browser does not tell why.
+  async #askWhy() {
+    const answer = await fetch(location.href, {cache: 'no-store'}).catch(() => null);
+    if (answer?.status === FORBIDDEN && this.socket?.readyState !== WebSocket.OPEN) {
+      this.handlers.closed(MOVED);
+    }
   }
 }
 
 // Decodes one picture at a time; of those that come meanwhile only the newest counts.
 class PictureDecoder {
-  constructor(done) {
-    this.done = done;
+  constructor(done, maxColumns) {
+    Object.assign(this, {done, maxColumns});
     this.next = null;
     this.busy = false;
   }
@@ -67,7 +103,7 @@ class PictureDecoder {
       const [header, file] = parsed(this.next);
       this.next = null;
       // A broken file is a picture without an image.
-      const image = await decode(file).catch(() => null);
+      const image = await decode(file, this.maxColumns()).catch(() => null);
       this.done({...header, image});
     }
     this.busy = false;

@@ -4,25 +4,42 @@
 // Files of pictures into what WebGL takes.
 
 const JPEG = 'image/jpeg', PNG = 'image/png', PNG_STARTS_WITH = 0x89;
+const MAX_MADE_PLANAR = 2048;
 // By how much chroma is reduced, in columns and rows.
 const CHROMA = {I420: [2, 2], I422: [2, 1], I444: [1, 1]};
 
 // Returns an ImageBitmap, or {width, height, planes, close}: luma and the two of chroma as the file
 // has them, each {data, width, height, stride}. These take half the time to decode and a tenth to
 // hand over (9 ms and 1 ms at 1920 columns, without a graphics card), but not in every browser.
-// Whoever has it closes it once, as an ImageBitmap.
-export async function decode(file) {
+// Whoever has it closes it once, as an ImageBitmap. A picture of more than maxColumns, which a
+// graphics card may not take, comes as an ImageBitmap of fewer.
+export async function decode(file, maxColumns = Infinity) {
   const type = file[0] === PNG_STARTS_WITH ? PNG : JPEG;
-  return (type === JPEG && await planesOf(file).catch(() => null))
-    || createImageBitmap(new Blob([file], {type}));
+  return (type === JPEG && await planesOf(file, maxColumns).catch(() => null))
+    || reduced(await createImageBitmap(new Blob([file], {type})), maxColumns);
 }
 
-async function planesOf(file) {
+// Takes over an ImageBitmap; a VideoFrame is left to whoever has it.
+async function reduced(image, maxColumns) {
+  const width = image.displayWidth ?? image.width, height = image.displayHeight ?? image.height;
+  if (width <= maxColumns) return image;
+  try {
+    return await createImageBitmap(image, {
+      resizeWidth: maxColumns, resizeHeight: Math.round(maxColumns * height / width),
+      resizeQuality: 'medium',
+    });
+  } finally {
+    if (image instanceof ImageBitmap) image.close();
+  }
+}
+
+async function planesOf(file, maxColumns) {
   if (!globalThis.ImageDecoder) return null;
   const decoder = new ImageDecoder({data: file, type: JPEG, colorSpaceConversion: 'none'});
   try {
     const {image} = await decoder.decode();
     try {
+      if (image.displayWidth > maxColumns) return await reduced(image, maxColumns);
       return image.format in CHROMA ? await copied(image) : null;
     } finally {
       image.close();
@@ -49,12 +66,14 @@ async function copied(image) {
   return {width, height, planes, close: () => spare.push(buffer)};
 }
 
-// Returns an image of ``decode`` as planes, whichever it is, and takes it over.
+// Returns an image of ``decode`` as planes, whichever it is, and takes it over. One that has to be
+// made planar, pixel by pixel, has no more of them than a view shows.
 export function planar(image) {
   if (image.planes) return image;
-  const {width, height} = image;
+  const width = Math.min(image.width, MAX_MADE_PLANAR);
+  const height = Math.round(width * image.height / image.width);
   const context = new OffscreenCanvas(width, height).getContext('2d');
-  context.drawImage(image, 0, 0);
+  context.drawImage(image, 0, 0, width, height);
   image.close();
   const rgba = context.getImageData(0, 0, width, height).data;
   const planes = Array.from({length: 3}, () => (

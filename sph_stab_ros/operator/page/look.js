@@ -20,18 +20,18 @@ const GAMEPAD_ACTIONS = {0: 'centre', 2: 'before', 9: 'reset'};
 export class Look {
   // changed() is called when yaw, pitch or fov (radians) have changed, press(id) for a button of
   // the gamepad.
-  constructor(canvas, changed, press) {
-    Object.assign(this, {canvas, changed, press, yaw: 0, pitch: 0, fov: FOV});
+  constructor(place, changed, press) {
+    Object.assign(this, {place, changed, press, yaw: 0, pitch: 0, fov: FOV});
     this.pointers = new Map();
     this.held = new Map();
     this.pressedButtons = new Set();
     this.ticked = 0;
-    canvas.addEventListener('pointerdown', event => this.#down(event));
-    canvas.addEventListener('pointermove', event => this.#move(event));
+    place.addEventListener('pointerdown', event => this.#down(event));
+    place.addEventListener('pointermove', event => this.#move(event));
     for (const type of ['pointerup', 'pointercancel', 'lostpointercapture']) {
-      canvas.addEventListener(type, event => this.#up(event));
+      place.addEventListener(type, event => this.#up(event));
     }
-    canvas.addEventListener('wheel', event => {
+    place.addEventListener('wheel', event => {
       event.preventDefault();
       const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
       // A pinch on a touchpad comes as a wheel with Ctrl, in small steps.
@@ -60,7 +60,7 @@ export class Look {
   }
 
   #down(event) {
-    this.canvas.setPointerCapture(event.pointerId);
+    this.place.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, event);
   }
 
@@ -74,7 +74,7 @@ export class Look {
     if (!before) return;
     const spread = this.#spread();
     this.pointers.set(event.pointerId, event);
-    const {clientWidth, clientHeight} = this.canvas;
+    const {clientWidth, clientHeight} = this.place;
     const perPixel = 2 * Math.tan(this.fov / 2) / Math.max(clientWidth, clientHeight);
     const share = perPixel / this.pointers.size;
     const factor = spread ? this.#spread() / spread : 1;

@@ -6,15 +6,14 @@
 import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
-import {$, showNotice, showSituation, showState} from './panels.js';
-import {rendererFor} from './renderer.js';
+import {$, linkText, showNotice, showSituation, showState} from './panels.js';
+import {Renderer} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
 
 const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
 const SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
 const MAX_PIXEL_RATIO = 2;
-// Without a graphics card, fewer pixels sooner rather than all of them later: 640 columns show
-// 100° of a picture of 2048 without loss.
+// Without a graphics card, fewer pixels sooner rather than all of them later.
 const SLOW_SHARE = 0.5;
 const NO_CONTROL = {
   none: 'No connection.',
@@ -24,15 +23,17 @@ const NO_CONTROL = {
 // What the server tells, as long as it tells nothing.
 const UNTOLD = {control: 'none', robot: null, rate_hz: null, latency_ms: null, wantedMode: null};
 
-const canvas = $('picture');
+const place = $('picture');
 const state = {
   ...UNTOLD,
   // Times are those of performance.now().
   connectedAt: performance.now(), reason: '', failure: '',
   // The picture on display, when it came, and whether it had an orientation.
-  pictureAt: null, stabilized: true, derotated: false,
+  pictureAt: null, stabilized: true, derotated: false, columns: Infinity,
   R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
   raw: false,
+  // Whether the processor draws.
+  slow: false,
   // Whether the operator has chosen where to look.
   moved: false,
   // The angles on the instruments.
@@ -47,7 +48,11 @@ function requestDraw() {
   drawRequested = true;
   requestAnimationFrame(() => {
     drawRequested = false;
-    draw();
+    try {
+      draw();
+    } catch (error) {
+      Object.assign(state, {failure: error.message, pictureAt: null});
+    }
   });
 }
 
@@ -55,20 +60,25 @@ function draw() {
   const picture = waiting;
   waiting = null;
   if (picture) {
+    state.columns = picture.image.width;
     renderer.load(picture.image);
     // Without an orientation the last one has to do.
     Object.assign(state, picture.orientation);
     state.stabilized = picture.orientation !== null;
     state.derotated = picture.derotated;
-    state.pictureAt = performance.now();
   }
+  fit();
   const R_virtual_view = fromYawPitch(look.yaw, look.pitch);
   const R_world_view = multiply(state.raw ? state.R_world_camera : state.R_world_virtual,
                                 R_virtual_view);
   const R_world_picture = state.derotated ? state.R_world_virtual : state.R_world_camera;
-  renderer.draw(matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
+  const shown = renderer.draw(
+    matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
   if (picture) {
-    canvas.dataset.stampNs = picture.stamp_ns;
+    if (shown) {
+      Object.assign(state, {failure: '', pictureAt: performance.now()});
+      place.dataset.stampNs = picture.stamp_ns;
+    }
     connection.send('drawn', {sequence: picture.sequence});
   }
 }
@@ -92,20 +102,42 @@ function takePicture(picture) {
     state.failure = image ? `The camera's picture, ${image.width}×${image.height}, is no ` +
       'sphere: start the operator with --pictures stabilizer.' : 'A broken picture has come.';
     image?.close();
-    connection.send('drawn', {sequence});
+    connection.send('skipped', {sequence});
     return;
   }
-  state.failure = '';
   waiting?.image.close();
   waiting = picture;
   requestDraw();
 }
 
-function resize() {
-  const ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO) * (renderer?.slow ? SLOW_SHARE : 1);
-  canvas.width = Math.round(canvas.clientWidth * ratio);
-  canvas.height = Math.round(canvas.clientHeight * ratio);
+// Draws as many pixels as the window has; where they are slow, no more than the picture has in view.
+function fit() {
+  const {clientWidth, clientHeight} = place;
+  const longer = Math.max(clientWidth, clientHeight);
+  let ratio = Math.min(devicePixelRatio, MAX_PIXEL_RATIO);
+  if (renderer.slow) {
+    ratio = Math.min(SLOW_SHARE * ratio, columnsInView() / longer);
+  }
+  renderer.resize(Math.round(clientWidth * ratio), Math.round(clientHeight * ratio));
+}
+
+// Where they are fewest, in the middle of the view.
+function columnsInView() {
+  return state.columns * Math.tan(look.fov / 2) / Math.PI;
+}
+
+// What is on the screen is gone, and what comes is drawn otherwise.
+function takeFallBack(reason) {
+  Object.assign(state, {slow: true, pictureAt: null});
+  showState(state);
+  showNotice(`${reason} The processor draws now.`, false);
+  showLink();
   requestDraw();
+}
+
+function showLink() {
+  $('link').textContent = linkText({encrypted: location.protocol === 'https:',
+                                    secure: isSecureContext, slow: state.slow});
 }
 
 // Looking.
@@ -129,6 +161,9 @@ function sendLook() {
 
 function takeState(told) {
   const taken = told.control === 'yours' && state.control !== 'yours';
+  if (told.control === 'taken' && state.control === 'yours') {
+    showNotice('Another operator has taken control.', false);
+  }
   Object.assign(state, told);
   if (taken && state.moved) sendLook();
   showState(state);
@@ -164,7 +199,7 @@ function nextMode() {
 function takeControl() {
   if (!connection.send('take_control')) showNotice(NO_CONTROL.none, false);
   state.moved = true;
-  canvas.focus();
+  place.focus();
 }
 
 function toggleRaw() {
@@ -198,11 +233,14 @@ const keyActions = {
 
 const tape = new HeadingTape($('tape'));
 const dial = new AttitudeDial($('attitude'));
-const look = new Look(canvas, looked, id => actions[id]());
+const look = new Look(place, looked, id => actions[id]());
 let connection;
 try {
-  renderer = rendererFor(canvas);
+  renderer = new Renderer(place, takeFallBack);
+  state.slow = renderer.slow;
+  showLink();
   connection = new Connection({
+    maxColumns: () => renderer.maxColumns,
     picture: takePicture,
     state: takeState,
     notice: takeNotice,
@@ -232,7 +270,7 @@ addEventListener('keydown', event => {
 $('modes').addEventListener('change', ({target}) => {
   setMode(target.value);
   // After a click arrow keys look around again; those who came by keyboard go on choosing.
-  if (!target.matches(':focus-visible')) canvas.focus();
+  if (!target.matches(':focus-visible')) place.focus();
 });
 // Some telephones have none.
 $('full').hidden = !document.fullscreenEnabled;
@@ -240,4 +278,4 @@ document.addEventListener('fullscreenchange', () =>
   $('full').setAttribute('aria-pressed', Boolean(document.fullscreenElement)));
 setInterval(showInstruments, INSTRUMENT_PERIOD_MS);
 setInterval(() => [tape, dial].forEach(one => one.describe()), DESCRIPTION_PERIOD_MS);
-new ResizeObserver(resize).observe(canvas);
+new ResizeObserver(requestDraw).observe(place);

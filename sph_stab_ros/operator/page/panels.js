@@ -28,6 +28,7 @@ export function showState(state) {
   $('latency').classList.toggle('late', latency_ms > LATE_MS);
   $('estimates').textContent = figure(robot?.tracking ? robot.rate_hz : null, '/s');
   $('estimator').textContent = robot?.tracking || '–';
+  $('drawn-by').textContent = state.slow ? 'processor' : 'graphics card';
   $('control').classList.toggle('hidden', control === 'yours' || control === 'none');
   $('control').firstElementChild.textContent = control === 'taken'
     ? 'Watching: another operator steers.' : 'Nobody steers.';
@@ -62,14 +63,23 @@ function showModes(modes, mode, steering) {
   }
 }
 
-// Shows for a while what came of a request.
+// Shows for a while what came of a request. The box is always there, if empty: what appears with
+// its text is not read out.
 export function showNotice(text, ok = true) {
   const box = $('notice');
   box.textContent = text;
   box.classList.toggle('refusal', !ok);
-  box.classList.remove('hidden');
   clearTimeout(noticeTimer);
-  noticeTimer = setTimeout(() => box.classList.add('hidden'), NOTICE_MS);
+  noticeTimer = setTimeout(() => { box.textContent = ''; }, NOTICE_MS);
+}
+
+// Returns what the pictures come by, and what would be better; secure is that of the browser, which
+// takes a page of the same machine for secure.
+export function linkText({encrypted, secure, slow}) {
+  const used = `Pictures come as JPEG by ${encrypted ? 'https' : 'http'}, and are drawn by `
+    + `${slow ? 'the processor' : 'the graphics card'}.`;
+  return encrypted || secure ? used : `${used} By https nobody on the way could see them, and many `
+    + 'browsers would decode them in half the time and take gamepads.';
 }
 
 // Shows whether the picture can be steered by, and since when not.

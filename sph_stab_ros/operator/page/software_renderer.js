@@ -11,8 +11,9 @@ import {planar} from './decoder.js';
 const TILE = 8;
 // What spans more of longitude is near a pole, where it does not go evenly.
 const UNEVEN_RAD = 0.15;
-// Places are whole numbers of 1/65536 px.
+// Places are whole numbers of 1/65536 px, in 32 bits.
 const SHIFT = 16, ONE = 1 << SHIFT;
+const MAX_COLUMNS = 16384;
 // JFIF's colours in the same unit.
 const R_CR = 91881, G_CB = -22554, G_CR = -46802, B_CB = 116130;
 
@@ -20,7 +21,9 @@ export class SoftwareRenderer {
   constructor(canvas) {
     this.canvas = canvas;
     this.context = canvas.getContext('2d', {alpha: false, willReadFrequently: true});
+    if (!this.context) throw new Error('This browser has no canvas to draw on.');
     this.slow = true;
+    this.maxColumns = MAX_COLUMNS;
     this.image = null;
   }
 
@@ -36,9 +39,10 @@ export class SoftwareRenderer {
   }
 
   // Draws what lies along R_camera_view (9, by columns); fov in radians is that of the longer side.
+  // Tells whether there is something to see.
   draw(R_camera_view, fov) {
     const {canvas: {width, height}, image} = this;
-    if (!image || !width || !height) return;
+    if (!image || !width || !height) return false;
     this.#fit(width, height);
     const place = placer(R_camera_view, fov, width, height, image);
     const target = {width, pixels: new Uint32Array(this.target.data.buffer)};
@@ -76,6 +80,7 @@ export class SoftwareRenderer {
       }
     }
     this.context.putImageData(this.target, 0, 0);
+    return true;
   }
 
   #fit(width, height) {

@@ -5,6 +5,9 @@
 // the picture on it, seen from its centre. A facet of 2.8° is not off by more than 0.02°.
 
 const COLUMNS = 128, ROWS = 64;
+const DARK = 16;
+// How many pictures the card may draw black that are not.
+const TRIALS = 3;
 
 const VERTEX_SHADER = `#version 300 es
 const float PI = 3.14159265358979;
@@ -35,16 +38,17 @@ void main() {
 }`;
 
 export class SphereRenderer {
-  // Throws an Error where the browser cannot do it.
-  constructor(canvas) {
-    const wanted = {alpha: false, antialias: false, depth: false};
+  // failed(reason): called where the context is lost. Throws an Error where the browser cannot do it,
+  // as do the methods where it fails.
+  constructor(canvas, failed = () => {}) {
     this.canvas = canvas;
-    this.gl = canvas.getContext('webgl2', wanted);
+    this.gl = canvas.getContext('webgl2', {alpha: false, antialias: false, depth: false});
     if (!this.gl) throw new Error('This browser has no WebGL 2.');
     this.slow = false;
+    this.maxColumns = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
+    canvas.addEventListener('webglcontextlost', () => failed('The graphics card was taken away.'));
     this.#prepare();
-    canvas.addEventListener('webglcontextlost', event => event.preventDefault());
-    canvas.addEventListener('webglcontextrestored', () => this.#prepare());
+    this.#check();
   }
 
   #prepare() {
@@ -58,8 +62,8 @@ export class SphereRenderer {
       gl.attachShader(program, shader);
     }
     gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
-      throw new Error(`WebGL: ${gl.getProgramInfoLog(program)}`);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+      throw new Error(`WebGL: ${gl.getProgramInfoLog(program) ?? 'no program'}`);
     }
     gl.useProgram(program);
     this.rotation = gl.getUniformLocation(program, 'R_camera_view');
@@ -75,13 +79,16 @@ export class SphereRenderer {
     });
     gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    this.width = 0;
+    this.width = this.height = this.trials = 0;
   }
 
-  // Takes over an image: see ``decode``.
+  // Takes over an image: see ``decode``. Throws an Error where that cannot be shown, and leaves it.
   load(image) {
     const gl = this.gl;
-    this.width = image.width;
+    const {width, height} = image;
+    if (width > this.maxColumns) {
+      throw new Error(`The graphics card takes ${this.maxColumns} columns, not ${width}.`);
+    }
     gl.uniform1i(this.planar, Boolean(image.planes));
     if (image.planes) {
       image.planes.forEach(({data, width, height, stride}, unit) => {
@@ -94,17 +101,59 @@ export class SphereRenderer {
       gl.activeTexture(gl.TEXTURE0);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
     }
+    if (width !== this.width || height !== this.height) {
+      // Memory may be short. To ask more often takes time.
+      this.#check();
+      Object.assign(this, {width, height, trials: TRIALS});
+    }
+    // What is black proves nothing.
+    this.onTrial = this.trials > 0 && !isBlack(image);
     image.close();
   }
 
   // Draws what lies along R_camera_view (9, by columns); fov in radians is that of the longer side.
+  // Tells whether there is something to see.
   draw(R_camera_view, fov) {
     const gl = this.gl, {width, height} = this.canvas;
-    if (!this.width) return;
+    if (!this.width || !width || !height) return false;
     gl.viewport(0, 0, width, height);
     const perPixel = Math.tan(fov / 2) / Math.max(width, height);
     gl.uniform2f(this.extent, width * perPixel, height * perPixel);
     gl.uniformMatrix3fv(this.rotation, false, R_camera_view);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 2 * (COLUMNS + 1), ROWS);
+    return !this.onTrial || this.#drewSomething(width, height);
   }
+
+  #check() {
+    const error = this.gl.getError();
+    if (error) throw new Error(`The graphics card fails (WebGL error ${error}).`);
+  }
+
+  // Some drivers draw nothing and call that no error.
+  #drewSomething(width, height) {
+    const gl = this.gl, row = new Uint8Array(4 * width);
+    gl.readPixels(0, height >> 1, width, 1, gl.RGBA, gl.UNSIGNED_BYTE, row);
+    this.#check();
+    this.onTrial = false;
+    const seen = row.some((value, n) => n % 4 !== 3 && value > 0);
+    this.trials = seen ? 0 : this.trials - 1;
+    if (!seen && !this.trials) throw new Error('The graphics card draws nothing.');
+    return seen;
+  }
+}
+
+// Whether there is nothing to see in an image of ``decode``.
+function isBlack(image) {
+  if (image.planes) {
+    const {data, stride, width, height} = image.planes[0];
+    for (let row = 0; row < height; row += 8) {
+      for (let column = 0; column < width; column += 8) {
+        if (data[row * stride + column] > DARK) return false;
+      }
+    }
+    return true;
+  }
+  const context = new OffscreenCanvas(64, 32).getContext('2d');
+  context.drawImage(image, 0, 0, 64, 32);
+  return context.getImageData(0, 0, 64, 32).data.every((value, n) => n % 4 === 3 || value <= DARK);
 }

@@ -167,6 +167,9 @@ def decompressed(data: bytes, compression: str) -> bytes:
 
 def ros2_name(msgtype: str) -> str:
     """Return the name of a type as ROS 2 has it."""
+    if msgtype == 'tf/tfMessage':
+        # What it was called before tf2.
+        return 'tf2_msgs/msg/TFMessage'
     return msgtype.replace('/', '/msg/') if msgtype.count('/') == 1 else msgtype
 
 

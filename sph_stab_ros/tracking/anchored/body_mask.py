@@ -8,6 +8,8 @@
 
 """The robot's own body: pixels that stand still in the camera's frame while the world turns."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,22 +19,36 @@ from sph_stab_ros.geometry.equirect import pad_sphere
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.tracking.anchored.thumbnail import change_by_rotation
 
-WIDTH = 160
+# Pictures go on so far beyond their edges: what a blur and a gradient read.
 MARGIN_PX = 4
-BLUR_PX = 0.7
-# Pixels that follow less than this share of the world's rotation do not belong to the world.
-MIN_SHARE = 0.35
-# Squared grey values of expected change before that is judged, and what one frame can add.
-MIN_EVIDENCE = 30.0
-MAX_EVIDENCE = 3.0
-# Of the evidence per frame in which anything moves.
-MEMORY = 0.98
-# After a smaller step nothing is to be seen, after a larger one, of two pixels, not this.
-MIN_STEP_RAD, MAX_STEP_RAD = np.deg2rad((0.1, 4.5))
-# What has never been brighter, over so many pixels in either direction, shows nothing; nor is what
-# is nearer to it than half a patch a landmark, because it would keep to the edge.
-BLACK_GREY = 10
-MIN_BLACK_PX, PATCH_PX = 9, 7
+
+
+@dataclass(frozen=True)
+class BodyMaskOptions:
+    """What is taken for the robot's body, and what for black."""
+
+    # Of the mask, in pixels, of 2.25° each.
+    width: int = 160
+    # Standard deviation of the blur in these, so that gradients hold over a step.
+    blur_px: float = 0.7
+    # Pixels that follow less than this share of the world's rotation do not belong to the world:
+    # 1 would be the world, 0 the body; a pixel that shows both is the world's.
+    min_share: float = 0.35
+    # Squared grey values of expected change before that is judged, and what one frame can add: ten
+    # frames at least.
+    min_evidence: float = 30.0
+    max_evidence: float = 3.0
+    # What is left of the evidence with each frame in which anything moves: of fifty frames.
+    memory: float = 0.98
+    # After a smaller step nothing is to be seen, after a larger one, of two pixels, not this.
+    min_step_rad: float = np.deg2rad(0.1)
+    max_step_rad: float = np.deg2rad(4.5)
+    # What has never been brighter in grey values, over so many pixels in either direction, shows
+    # nothing: compression leaves some grey in black. Nor is what is nearer to it than half a patch
+    # a landmark, because it would keep to the edge.
+    black_grey: int = 10
+    min_black_px: int = 9
+    patch_px: int = 7
 
 
 class BodyMask:
@@ -43,30 +59,35 @@ class BodyMask:
     share of that which really happens, fitted over time, is 1 for the world and 0 for the body.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, options: BodyMaskOptions) -> None:
+        self._options = options
         self._small: Plane | None = None
-        self._happened = np.zeros((WIDTH // 2, WIDTH), np.float32)
+        self._happened = np.zeros((options.width // 2, options.width), np.float32)
         self._evidence = np.zeros_like(self._happened)
         self.mask = np.zeros(self._happened.shape, bool)
 
     def update(self, grey: Grey, R_current_previous: Rotation | None) -> None:
         """Take in the next grey sphere (H, W); without a rotation it is the first one."""
-        small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
-        small = cv2.GaussianBlur(pad_sphere(small.astype(np.float32), MARGIN_PX), (0, 0), BLUR_PX)
+        options = self._options
+        small = cv2.resize(
+            grey, (options.width, options.width // 2), interpolation=cv2.INTER_AREA)
+        small = cv2.GaussianBlur(
+            pad_sphere(small.astype(np.float32), MARGIN_PX), (0, 0), options.blur_px)
         previous, self._small = self._small, small
         if previous is None or R_current_previous is None:
             return
         omega = R_current_previous.as_rotvec().astype(np.float32)
-        if not MIN_STEP_RAD < np.linalg.norm(omega) < MAX_STEP_RAD:
+        if not options.min_step_rad < np.linalg.norm(omega) < options.max_step_rad:
             return
         inside = slice(MARGIN_PX, -MARGIN_PX)
         expected = change_by_rotation((small + previous) / 2, MARGIN_PX, -omega)
         change = (small - previous)[inside, inside]
         happened, evidence = (cv2.blur(expected * seen, (3, 3)) for seen in (change, expected))
-        share = np.minimum(1, MAX_EVIDENCE / np.maximum(evidence, 1e-6))
-        self._happened = MEMORY * self._happened + share * happened
-        self._evidence = MEMORY * self._evidence + share * evidence
-        still = (self._happened < MIN_SHARE * self._evidence) & (self._evidence > MIN_EVIDENCE)
+        share = np.minimum(1, options.max_evidence / np.maximum(evidence, 1e-6))
+        self._happened = options.memory * self._happened + share * happened
+        self._evidence = options.memory * self._evidence + share * evidence
+        still = ((self._happened < options.min_share * self._evidence)
+                 & (self._evidence > options.min_evidence))
         self.mask = cv2.dilate(still.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
@@ -78,8 +99,9 @@ class VisibleWorld:
     black: what no lens shows.
     """
 
-    def __init__(self, used: Mask | None = None) -> None:
-        self.still = BodyMask()
+    def __init__(self, used: Mask | None, options: BodyMaskOptions) -> None:
+        self._options = options
+        self.still = BodyMask(options)
         self._used = used
         self._brightest = np.zeros(self.still.mask.shape, np.uint8)
         self._hidden = np.zeros_like(self.still.mask)
@@ -89,10 +111,11 @@ class VisibleWorld:
         self.still.update(grey, R_current_previous)
         small = cv2.resize(grey, self.still.mask.shape[::-1], interpolation=cv2.INTER_AREA)
         self._brightest = np.maximum(self._brightest, small)
-        black = pad_sphere((self._brightest <= BLACK_GREY).astype(np.uint8), MIN_BLACK_PX)
-        black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((MIN_BLACK_PX,) * 2, np.uint8))
-        black = cv2.dilate(black, np.ones((PATCH_PX,) * 2, np.uint8))
-        inside = slice(MIN_BLACK_PX, -MIN_BLACK_PX)
+        side_px, patch_px = self._options.min_black_px, self._options.patch_px
+        black = pad_sphere((self._brightest <= self._options.black_grey).astype(np.uint8), side_px)
+        black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((side_px, side_px), np.uint8))
+        black = cv2.dilate(black, np.ones((patch_px, patch_px), np.uint8))
+        inside = slice(side_px, -side_px)
         self._hidden = self.still.mask | (black[inside, inside] > 0)
 
     def shows(self, bearings: Bearings) -> Choice:
@@ -109,6 +132,11 @@ class VisibleWorld:
         rows, columns = (np.arange(size) * of // size
                          for size, of in zip(self._used.shape, self._hidden.shape))
         return self._used & ~self._hidden[np.ix_(rows, columns)]
+
+    def pixels_of(self, grey: Grey) -> Mask:
+        """Return which pixels of a grey sphere show the world, (H, W) bool, of its own size."""
+        return cv2.resize(self.pixels().astype(np.uint8), grey.shape[::-1],
+                          interpolation=cv2.INTER_NEAREST) > 0
 
 
 def _read(mask: Mask, bearings: Bearings) -> Choice:

@@ -8,18 +8,27 @@
 
 """How what is learnt afterwards reaches the picture: smoothly, not by a jump."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# A correction fades in by steps of this size, or by this share of what is left.
-MIN_STEP_RAD = np.deg2rad(0.01)
-SHARE = 0.2
+
+@dataclass(frozen=True)
+class CorrectionOptions:
+    """How quickly a correction fades in, per frame."""
+
+    # By a step of at least this size: what trembles by less nobody sees.
+    min_step_rad: float = np.deg2rad(0.01)
+    # And by this share of what is left: nine tenths of it within a third of a second at 30 Hz.
+    share: float = 0.2
 
 
 class SmoothCorrection:
     """``R_out_world``: what is given out, against the world as it is known by now."""
 
-    def __init__(self) -> None:
+    def __init__(self, options: CorrectionOptions) -> None:
+        self._options = options
         self.R_out_world = Rotation.identity()
 
     def reset(self) -> None:
@@ -33,6 +42,6 @@ class SmoothCorrection:
     def step(self) -> None:
         """Let a little more of it be seen."""
         left = self.R_out_world.as_rotvec()
-        size = np.linalg.norm(left)
-        step = max(MIN_STEP_RAD, SHARE * size)
+        size = float(np.linalg.norm(left))
+        step = max(self._options.min_step_rad, self._options.share * size)
         self.R_out_world = Rotation.from_rotvec(left * (max(0., size - step) / max(size, 1e-12)))

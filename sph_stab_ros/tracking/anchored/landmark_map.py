@@ -8,97 +8,99 @@
 
 """What the tracker knows of its surroundings: keyframes, and the landmarks seen from them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import (
-    Bearings, Choice, Covariance, Grey, Indices, Mask, Matrix, Pixels, Vector, Vectors)
-from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
+    Bearings, Choice, Covariance, Grey, Indices, Mask, Matrix, Values, Vector, Vectors)
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
-from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Window
-from sph_stab_ros.tracking.anchored.landmarks import Landmarks, Observations
-from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
-from sph_stab_ros.tracking.anchored.patches import (
-    MAX_LATITUDE_RAD, Patches, PatchStore, Pyramid)
+from sph_stab_ros.tracking.anchored.bundle_adjustment import (
+    adjust, Adjusted, BundleOptions, Window)
+from sph_stab_ros.tracking.anchored.corners import CornerOptions, find_corners
+from sph_stab_ros.tracking.anchored.keyframe import Keyframe
+from sph_stab_ros.tracking.anchored.landmarks import LandmarkOptions, Landmarks, Observations
+from sph_stab_ros.tracking.anchored.lens_misalignment import (
+    apart, lens_equations, Lenses, LensOptions)
+from sph_stab_ros.tracking.anchored.patch_store import PatchStore
+from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
-from sph_stab_ros.tracking.frame_to_frame.features import detect, Features
-
-MAX_LANDMARKS = 600
-MIN_DISTANCE_PX = 7
-MIN_CORNER_QUALITY = 2e-3
-MIN_CONTRAST = 4.0
-# The unit of length is such that new landmarks are at distance 1 in the beginning; their inverse
-# depth is known by this much.
-FIRST_INFORMATION = 0.3
-MAX_INFORMATION = 1e5
-# Errors of observations are alike from keyframe to keyframe: what they tell about depths counts
-# half.
-TRUSTED_INFORMATION = 0.5
-# Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks. With
-# fewer a narrow view drifts twice as fast.
-ADJUSTED_KEYFRAMES = 20
-FIXED_KEYFRAMES = 10
-MAX_KEYFRAMES, RECENT_KEYFRAMES = 48, 6
-# A landmark whose observations are trusted less than this on average is none.
-MIN_TRUST = 0.15
-# When the lenses are known better by so much, all keyframes are adjusted anew.
-LENSES_CHANGED_RAD = np.deg2rad(0.03)
-# The window's covariance takes observations for independent. Calibrated on simulated flights.
-COVARIANCE_INFLATION = 6.0
 
 
-@dataclass
-class Keyframe:
+@dataclass(frozen=True)
+class MapOptions:
+    """How much a map holds, and how it is adjusted."""
+
+    corners: CornerOptions = CornerOptions()
+    patches: PatchOptions = PatchOptions()
+    landmarks: LandmarkOptions = LandmarkOptions()
+    bundle: BundleOptions = BundleOptions()
+    lenses: LensOptions = LensOptions()
+    # That are looked for; with half of them errors grow by a tenth or so.
+    max_landmarks: int = 600
+    # Standard deviation in grey values of a patch that is worth it.
+    min_contrast: float = 4.0
+    # The unit of length is such that new landmarks are at distance 1 in the beginning; their
+    # inverse depth is known by this much (an inverse variance).
+    first_information: float = 0.3
+    # In a window all that was seen counts again; what was guessed at first then hardly does.
+    window_information: float = 0.03
+    # Errors of observations are alike from keyframe to keyframe: what they tell about depths
+    # counts half, and never makes them exact.
+    trusted_information: float = 0.5
+    max_information: float = 1e5
+    # Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks.
+    # With fewer a narrow view drifts twice as fast.
+    adjusted_keyframes: int = 20
+    fixed_keyframes: int = 10
+    # However long the recording is; the newest of them stay whatever is near them.
+    max_keyframes: int = 48
+    recent_keyframes: int = 6
+    # A landmark whose observations are trusted less than this on average is none.
+    min_trust: float = 0.15
+    # When the lenses are known better by so much, all keyframes are adjusted anew.
+    lenses_changed_rad: float = np.deg2rad(0.03)
+    # The window's covariance takes observations for independent. Calibrated on simulated flights.
+    covariance_inflation: float = 6.0
+
+
+class LandmarkMap:
     """
-    R_world_camera (3, 3), position (3,), covariance (3, 3) of the former, what was seen.
+    Keyframes, oldest first, and landmarks; both are few, however long the recording is.
 
-    ``jpeg`` is the camera's grey sphere, as a file: a fifth of the memory at most.
+    What becomes of a landmark, from its birth on, is written by methods of this class alone.
+    Keyframes and the window of the last of them, adjusted against fixed ones that share their
+    landmarks, are as in R. Mur-Artal, J. M. M. Montiel and J. D. Tardós, *ORB-SLAM: a versatile
+    and accurate monocular SLAM system*, IEEE Transactions on Robotics 31(5), 2015.
     """
 
-    number: int
-    R: Matrix
-    position: Vector
-    covariance: Covariance
-    jpeg: NDArray[np.uint8]
-    thumbnail: Thumbnail
-    observations: Observations
-    _features: Features | None = None
+    def __init__(self, options: MapOptions) -> None:
+        self.options = options
+        self.keyframes: list[Keyframe] = []
+        self.lenses = Lenses(options.lenses)
+        self._landmarks = Landmarks.none()
+        self._store = PatchStore()
+        self._adjusted_apart: Vector = np.zeros(3)
+        self._next_keyframe = self._next_landmark = 0
+        self._known_poses: tuple[Indices, Matrix, Vectors] | None = None
 
     @property
-    def grey(self) -> Grey:
-        """Return the camera's sphere (H, W) uint8."""
-        return cv2.imdecode(self.jpeg, cv2.IMREAD_GRAYSCALE)
+    def landmarks(self) -> Landmarks:
+        """All landmarks as they are now, to be read."""
+        return self._landmarks
 
-    def features(self, used: Mask) -> Features:
-        """Return the A-KAZE Features in the pixels ``used``; found once, in some 50 ms."""
-        if self._features is None:
-            self._features = detect(self.grey, used)
-        return self._features
-
-
-@dataclass
-class LandmarkMap:
-    """Keyframes, oldest first, and landmarks; both are few, however long the recording is."""
-
-    keyframes: list[Keyframe] = field(default_factory=list)
-    landmarks: Landmarks | None = None
-    store: PatchStore = field(default_factory=PatchStore)
-    lenses: Lenses = field(default_factory=Lenses)
-    _adjusted_apart: Vector = field(default_factory=lambda: np.zeros(3))
-    _next_keyframe: int = 0
-    _next_landmark: int = 0
-    _known_poses: tuple[Indices, Matrix, Vectors] | None = None
+    @property
+    def patches(self) -> Patches:
+        """Patches of the landmarks, in the rows that these tell; some, once one is born."""
+        assert self._store.patches is not None
+        return self._store.patches
 
     def hosts(self, rows: Indices) -> tuple[Matrix, Vectors]:
         """Return R (N, 3, 3) and positions (N, 3) of the hosts of the landmarks in rows."""
-        assert self.landmarks is not None
         numbers, R, positions = self._poses()
-        index = np.searchsorted(numbers, self.landmarks.host[rows])
+        index = np.searchsorted(numbers, self._landmarks.host[rows])
         return R[index], positions[index]
 
     def _poses(self) -> tuple[Indices, Matrix, Vectors]:
@@ -116,15 +118,25 @@ class LandmarkMap:
 
         Each in units of the landmark's distance from its host.
         """
-        assert self.landmarks is not None
         R, origins = self.hosts(rows)
-        return (np.einsum('nij,nj->ni', R, self.landmarks.x[rows])
-                - self.landmarks.inverse_depth[rows, None] * (position - origins))
+        return (np.einsum('nij,nj->ni', R, self._landmarks.x[rows])
+                - self._landmarks.inverse_depth[rows, None] * (position - origins))
 
     def directions(self, rows: Indices, position: Vector) -> Bearings:
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
         z = self.rays(rows, position)
         return z / np.linalg.norm(z, axis=1, keepdims=True)
+
+    def is_mature(self, rows: Indices) -> Choice:
+        """Tell which of the landmarks in rows have a say in the pose."""
+        return self._landmarks.agreed[rows] >= self.options.landmarks.mature_frames
+
+    def near(self, position: Vector, count: int) -> Indices:
+        """Return rows of up to ``count`` inactive landmarks whose hosts are nearest, ascending."""
+        inactive = np.flatnonzero(~self._landmarks.active)
+        _, origins = self.hosts(inactive)
+        distance = np.linalg.norm(origins - position, axis=1)
+        return np.sort(inactive[np.argsort(distance, kind='stable')[:count]])
 
     def add_keyframe(self, R_world_camera: Rotation, position: Vector, covariance: Covariance,
                      grey: Grey, thumbnail: Thumbnail, observations: Observations) -> None:
@@ -143,133 +155,132 @@ class LandmarkMap:
                               + added_variance * np.eye(3))
         self._known_poses = None
 
-    def add_landmarks(self, grey: Grey, pyramid: Pyramid, usable: Mask) -> None:
-        """
-        Add landmarks at corners of the last keyframe's picture, where there are none yet.
-
-        ``usable`` (h, w) bool tells, in any resolution, where landmarks may be.
-        """
-        keyframe = self.keyframes[-1]
-        width = pyramid.width
-        free = cv2.resize(
-            usable.astype(np.uint8), grey.shape[::-1], interpolation=cv2.INTER_NEAREST)
-        edge = round(width * (0.25 - MAX_LATITUDE_RAD / (2 * np.pi))) + MIN_DISTANCE_PX
-        free[:edge] = free[-edge:] = 0
-        wanted, inverse_depth = MAX_LANDMARKS, 1.
-        if self.landmarks is not None:
-            active = np.flatnonzero(self.landmarks.active)
-            wanted -= len(active)
-            if len(active):
-                inverse_depth = max(float(np.median(self.landmarks.inverse_depth[active])), 1e-3)
-            there = self.lenses.as_seen(
-                self.directions(active, keyframe.position) @ keyframe.R)
-            free[near_pixels(pixels_from_bearings(there, width), width, MIN_DISTANCE_PX)] = 0
-        uv = None if wanted <= 0 else cv2.goodFeaturesToTrack(
-            cv2.GaussianBlur(grey, (0, 0), 0.8), wanted, MIN_CORNER_QUALITY, MIN_DISTANCE_PX,
-            mask=free, blockSize=7)
-        if uv is None:
-            return
-        x = bearings_from_pixels(uv[:, 0].astype(float), width)
-        east = np.cross((0., 1., 0.), x)
-        east /= np.linalg.norm(east, axis=1, keepdims=True)
-        south = np.cross(x, east)
-        patches = Patches.cut(pyramid, x, east, south)
-        good = patches.deviations[:, 0] > MIN_CONTRAST
-        n = good.sum()
-        new = Landmarks(
-            self._next_landmark + np.arange(n), np.full(n, keyframe.number),
-            self.lenses.corrected(x[good]), east[good],
-            south[good], np.full(n, inverse_depth),
-            np.full(n, FIRST_INFORMATION / inverse_depth ** 2), np.zeros(n, int),
-            np.zeros(n, int), np.ones(n, bool), self.store.put(patches[good]))
-        self._next_landmark += n
-        self.landmarks = (new if self.landmarks is None
-                          else Landmarks.joined((self.landmarks, new)))
-
-    def adjust(self) -> None:
-        """Adjust the last keyframes and what they saw; give up what does not fit."""
-        assert self.landmarks is not None
-        first = max(len(self.keyframes) - ADJUSTED_KEYFRAMES, 1)
-        if np.linalg.norm(self.lenses.apart - self._adjusted_apart) > LENSES_CHANGED_RAD:
-            # What was adjusted before was adjusted to other bearings.
-            first, self._adjusted_apart = 1, self.lenses.apart
-        seen_lately = np.concatenate([one.observations.number for one in self.keyframes[first:]])
-        numbers = np.intersect1d(seen_lately, self.landmarks.number)
-        if not len(numbers):
-            return
-        rows = np.searchsorted(self.landmarks.number, numbers)
-        shared = [_are_among(one.observations.number, numbers) for one in self.keyframes]
-        witnesses = np.argsort([-one.sum() for one in shared[:first]], kind='stable')
-        used = [*sorted(witnesses[:FIXED_KEYFRAMES]), *range(first, len(self.keyframes))]
-        seen = Observations.joined([self.keyframes[i].observations[shared[i]] for i in used])
-        keyframe = np.repeat(used, [shared[i].sum() for i in used])
-        point = np.searchsorted(numbers, seen.number)
-        keyframe_numbers, R, positions = self._poses()
-        host = np.searchsorted(keyframe_numbers, self.landmarks.host[rows])
-        window = Window(
-            R, positions, np.arange(len(self.keyframes)) >= first, host, self.landmarks.x[rows],
-            self.landmarks.inverse_depth[rows], np.full(len(rows), 0.1 * FIRST_INFORMATION),
-            keyframe, point, seen.y, seen.sqrt_information)
-        adjusted = adjust(window, keep_distance=first == 1)
-        self._known_poses = None
-        base = self.keyframes[first - 1].covariance
-        for i, one in enumerate(self.keyframes[first:]):
-            one.R, one.position = adjusted.R[first + i], adjusted.p[first + i]
-            block = slice(6 * i, 6 * i + 3)
-            one.covariance = base + COVARIANCE_INFLATION * adjusted.covariance[block, block]
-        self.landmarks.inverse_depth[rows] = adjusted.inverse_depths
-        self.landmarks.information[rows] = np.minimum(
-            TRUSTED_INFORMATION * adjusted.information, MAX_INFORMATION)
-        count = np.bincount(point, minlength=len(rows))
-        trust = np.bincount(point, adjusted.weights, len(rows)) / np.maximum(count, 1)
-        self._keep(~np.isin(self.landmarks.number, numbers[(trust < MIN_TRUST) & (count > 1)]))
-        self._take_lenses_apart(self.lenses.learn(*lens_equations(window, adjusted)))
-
-    def _take_lenses_apart(self, rotvec: Vector) -> None:
-        """Correct all bearings known so far by a further rotation vector between the lenses."""
-        assert self.landmarks is not None
-        self.landmarks.x = apart(self.landmarks.x, rotvec)
-        for one in self.keyframes:
-            one.observations.y = apart(one.observations.y, rotvec)
-
     def shrink(self) -> None:
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""
-        assert self.landmarks is not None
-        if len(self.keyframes) <= MAX_KEYFRAMES:
+        if len(self.keyframes) <= self.options.max_keyframes:
             return
         # The world's and the newest stay. Of the others one goes that has another one near.
-        old = self.keyframes[1:-RECENT_KEYFRAMES]
+        old = self.keyframes[1:-self.options.recent_keyframes]
         positions = np.array([one.position for one in old])
         distance = np.linalg.norm(positions[:, None] - positions, axis=2)
         distance[np.diag_indices_from(distance)] = np.inf
         dropped = old[int(np.argmin(distance.min(axis=1)))]
         self.keyframes.remove(dropped)
         self._known_poses = None
-        self._keep(self.landmarks.host != dropped.number)
+        self._forget(self._landmarks.host == dropped.number)
 
-    def near(self, position: Vector, count: int) -> Indices:
-        """Return rows of up to ``count`` inactive landmarks whose hosts are nearest, ascending."""
-        assert self.landmarks is not None
-        inactive = np.flatnonzero(~self.landmarks.active)
-        _, origins = self.hosts(inactive)
-        distance = np.linalg.norm(origins - position, axis=1)
-        return np.sort(inactive[np.argsort(distance, kind='stable')[:count]])
+    def add_landmarks(self, grey: Grey, pyramid: Pyramid, free: Mask) -> None:
+        """
+        Add landmarks at corners of the last keyframe's picture, where there are none yet.
 
-    def _keep(self, kept: Choice) -> None:
-        assert self.landmarks is not None
-        self.store.give_back(self.landmarks.patch[~kept])
-        self.landmarks = self.landmarks[kept]
+        ``free`` (h, w) bool tells, in any resolution, where landmarks may be.
+        """
+        keyframe, options = self.keyframes[-1], self.options
+        active = np.flatnonzero(self._landmarks.active)
+        there = self.lenses.as_seen(self.directions(active, keyframe.position) @ keyframe.R)
+        x = find_corners(grey, free, there, options.max_landmarks - len(active),
+                         options.patches.max_latitude_rad, options.corners)
+        if not len(x):
+            return
+        east = np.cross((0., 1., 0.), x)
+        east /= np.linalg.norm(east, axis=1, keepdims=True)
+        south = np.cross(x, east)
+        patches = Patches.cut(pyramid, x, east, south)
+        good = patches.deviations[:, 0] > options.min_contrast
+        # As far away as the others.
+        inverse_depth = max(float(np.median(self._landmarks.inverse_depth[active])),
+                            1e-3) if len(active) else 1.
+        self.add(Landmarks.new(
+            self._next_landmark, keyframe.number,
+            (self.lenses.corrected(x[good]), east[good], south[good]), inverse_depth,
+            options.first_information / inverse_depth ** 2, self._store.put(patches[good])))
 
+    def add(self, landmarks: Landmarks) -> None:
+        """Add Landmarks that are born, numbered on from those before."""
+        self._landmarks = Landmarks.joined((self._landmarks, landmarks))
+        self._next_landmark += len(landmarks)
 
-def near_pixels(uv: Pixels, width: int, distance_px: int) -> Mask:
-    """Return the pixels (width / 2, width) bool about so near to pixels uv (N, 2), seam or not."""
-    near = np.zeros((width // 2, width), np.uint8)
-    u, v = np.rint(uv).astype(int).T
-    near[np.clip(v, 0, width // 2 - 1), u % width] = 1
-    near = cv2.copyMakeBorder(near, 0, 0, distance_px, distance_px, cv2.BORDER_WRAP)
-    # Squares as large as circles, in a thirtieth of the time.
-    side = 2 * round(distance_px * np.sqrt(np.pi) / 2) + 1
-    return cv2.dilate(near, np.ones((side, side), np.uint8))[:, distance_px:-distance_px] > 0
+    def judge(self, rows: Indices, agreeing: Choice, inverse_depths: Values,
+              for_good: bool = True) -> None:
+        """
+        Take in how the landmarks in rows were seen; deactivate those that are long missed.
+
+        Those ``agreeing`` (N,) bool were where the pose says, with its inverse depths (N,). Unless
+        it is ``for_good`` the pose may turn out wrong: then all that were seen stay.
+        """
+        judged = self._landmarks.judged if for_good else self._landmarks.judged_for_now
+        self._landmarks = judged(rows, agreeing, inverse_depths, self.options.landmarks)
+
+    def wake(self, rows: Indices) -> None:
+        """Look for the landmarks in rows again, which have just been seen."""
+        self._landmarks = self._landmarks.woken(rows)
+
+    def adjust(self) -> None:
+        """Adjust the last keyframes and what they saw; give up what does not fit."""
+        first = max(len(self.keyframes) - self.options.adjusted_keyframes, 1)
+        if np.linalg.norm(self.lenses.apart - self._adjusted_apart) > (
+                self.options.lenses_changed_rad):
+            # What was adjusted before was adjusted to other bearings.
+            first, self._adjusted_apart = 1, self.lenses.apart
+        seen_lately = np.concatenate([one.observations.number for one in self.keyframes[first:]])
+        numbers = np.intersect1d(seen_lately, self._landmarks.number)
+        if not len(numbers):
+            return
+        window = self._window(first, numbers)
+        adjusted = adjust(window, self.options.bundle, keep_distance=first == 1)
+        self._take_in(first, numbers, window, adjusted)
+        self._take_lenses_apart(self.lenses.learn(*lens_equations(window, adjusted)))
+
+    def _window(self, first: int, numbers: Indices) -> Window:
+        """Return the Window of the keyframes from ``first`` on, and of landmarks by number."""
+        keyframes, rows = self.keyframes, np.searchsorted(self._landmarks.number, numbers)
+        shared = [_are_among(one.observations.number, numbers) for one in keyframes]
+        witnesses = np.argsort([-one.sum() for one in shared[:first]], kind='stable')
+        used = [*sorted(witnesses[:self.options.fixed_keyframes]), *range(first, len(keyframes))]
+        seen = Observations.joined([keyframes[i].observations[shared[i]] for i in used])
+        keyframe_numbers, R, positions = self._poses()
+        return Window(
+            R, positions, np.arange(len(keyframes)) >= first,
+            np.searchsorted(keyframe_numbers, self._landmarks.host[rows]),
+            self._landmarks.x[rows], self._landmarks.inverse_depth[rows],
+            np.full(len(rows), self.options.window_information),
+            np.repeat(used, [shared[i].sum() for i in used]),
+            np.searchsorted(numbers, seen.number), seen.y, seen.sqrt_information)
+
+    def _take_in(self, first: int, numbers: Indices, window: Window, adjusted: Adjusted) -> None:
+        """Take in a Window that was adjusted; forget landmarks whose observations disagree."""
+        options = self.options
+        self._known_poses = None
+        base = self.keyframes[first - 1].covariance
+        for i, one in enumerate(self.keyframes[first:]):
+            one.R, one.position = adjusted.R[first + i], adjusted.p[first + i]
+            block = slice(6 * i, 6 * i + 3)
+            one.covariance = (
+                base + options.covariance_inflation * adjusted.covariance[block, block])
+        rows = np.searchsorted(self._landmarks.number, numbers)
+        inverse_depth = self._landmarks.inverse_depth.copy()
+        information = self._landmarks.information.copy()
+        inverse_depth[rows] = adjusted.inverse_depths
+        information[rows] = np.minimum(
+            options.trusted_information * adjusted.information, options.max_information)
+        self._landmarks = replace(
+            self._landmarks, inverse_depth=inverse_depth, information=information)
+        count = np.bincount(window.point, minlength=len(rows))
+        trust = (np.bincount(window.point, adjusted.weights, len(rows))
+                 / np.maximum(count, 1))
+        self._forget(np.isin(
+            self._landmarks.number, numbers[(trust < options.min_trust) & (count > 1)]))
+
+    def _take_lenses_apart(self, rotvec: Vector) -> None:
+        """Correct all bearings known so far by a further rotation vector between the lenses."""
+        self._landmarks = replace(self._landmarks, x=apart(self._landmarks.x, rotvec))
+        for one in self.keyframes:
+            one.observations.y = apart(one.observations.y, rotvec)
+
+    def _forget(self, gone: Choice) -> None:
+        """Let landmarks go, (N,) bool, with their patches."""
+        self._store.give_back(self._landmarks.patch[gone])
+        self._landmarks = self._landmarks[~gone]
 
 
 def _are_among(numbers: Indices, others: Indices) -> Choice:

@@ -8,23 +8,29 @@
 
 """Landmarks and their life: born in a keyframe, agreed, missed, inactive, woken again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from sph_stab_ros.geometry.arrays import Bearings, Choice, Floats, Indices, Values
-from sph_stab_ros.tracking.anchored.pose_estimation import cauchy_weights
 from sph_stab_ros.tracking.anchored.table import Table
 
-# A landmark has a say in the pose once it has agreed with the others for so many frames: who walks
-# by, or carries the camera, does not for long.
-MATURE_FRAMES = 8
-# Landmarks are deactivated when they are missed for so many frames, or disagree for as many.
-MAX_MISSED = 6
-MIN_AGREED, DISAGREEING = -5, -2
+
+@dataclass(frozen=True)
+class LandmarkOptions:
+    """When a landmark has a say, and when it is looked for no more."""
+
+    # It has a say in the pose once it has agreed with the others for so many frames: who walks by,
+    # or carries the camera, does not for long.
+    mature_frames: int = 8
+    # It is deactivated when it has been missed for so many frames, or disagreed until its count of
+    # frames, by so much with each, has come down so far.
+    max_missed: int = 6
+    disagreeing: int = -2
+    min_agreed: int = -5
 
 
-@dataclass
+@dataclass(frozen=True)
 class Landmarks(Table):
     """
     N things to be seen again; each belongs to the keyframe in which its patch was cut, its host.
@@ -34,6 +40,8 @@ class Landmarks(Table):
     (N,) as counted from there. ``agreed`` (N,) is for how many frames it has lately agreed with
     the others, ``missed`` (N,) for how many it has not been seen, ``active`` (N,) bool whether it
     is looked for, ``patch`` (N,) the row of its patch in the store.
+
+    Nothing of it can be written to; who changes a landmark makes a new table. The map alone does.
     """
 
     number: Indices
@@ -48,34 +56,60 @@ class Landmarks(Table):
     active: Choice
     patch: Indices
 
-    def is_mature(self, rows: Indices) -> Choice:
-        """Tell which of those in rows have a say in the pose."""
-        return self.agreed[rows] >= MATURE_FRAMES
+    def __post_init__(self) -> None:
+        """Protect all columns."""
+        for one in fields(self):
+            getattr(self, one.name).flags.writeable = False
 
-    def judge(self, rows: Indices, agreeing: Choice, inverse_depths: Values) -> None:
-        """Take in how those in rows were seen, which of them where the pose says; age the rest."""
-        self.agreed[rows] += np.where(agreeing, 1, DISAGREEING)
-        np.minimum(self.agreed, 2 * MATURE_FRAMES, out=self.agreed)
-        self.inverse_depth[rows[agreeing]] = inverse_depths[agreeing]
-        self._miss_all_but(rows[agreeing])
+    @classmethod
+    def none(cls) -> 'Landmarks':
+        """Return an empty table."""
+        numbers, bearings, values = np.empty(0, int), np.empty((0, 3)), np.empty(0)
+        return cls(numbers, numbers, bearings, bearings, bearings, values, values, numbers,
+                   numbers, np.empty(0, bool), numbers)
 
-    def judge_for_now(self, rows: Indices, agreeing: Choice, inverse_depths: Values) -> None:
-        """Do the same by a pose that may turn out to be wrong: being seen is enough to stay."""
-        self.agreed[:] = 0
-        self.agreed[rows[agreeing]] = MATURE_FRAMES
-        self.inverse_depth[rows[agreeing]] = inverse_depths[agreeing]
-        self._miss_all_but(rows)
+    @classmethod
+    def new(cls, first_number: int, host: int, axes: tuple[Bearings, Bearings, Bearings],
+            inverse_depth: float, information: float, patch: Indices) -> 'Landmarks':
+        """Return landmarks that are born in a keyframe: x, east and south (N, 3) are ``axes``."""
+        n = len(patch)
+        return cls(first_number + np.arange(n), np.full(n, host), *axes,
+                   np.full(n, inverse_depth), np.full(n, information), np.zeros(n, int),
+                   np.zeros(n, int), np.ones(n, bool), patch)
 
-    def wake(self, rows: Indices) -> None:
-        """Look for those in rows again, which have just been seen."""
-        self.active[rows] = True
-        self.missed[rows] = 0
+    def judged(self, rows: Indices, agreeing: Choice, inverse_depths: Values,
+               options: LandmarkOptions) -> 'Landmarks':
+        """Return them as those in rows were seen, some where the pose says; the rest aged."""
+        agreed = self.agreed.copy()
+        agreed[rows] += np.where(agreeing, 1, options.disagreeing)
+        np.minimum(agreed, 2 * options.mature_frames, out=agreed)
+        return self._aged(agreed, rows[agreeing], rows[agreeing], inverse_depths[agreeing],
+                          options)
 
-    def _miss_all_but(self, rows: Indices) -> None:
-        """Deactivate those that have been missed for long, or disagree."""
-        self.missed[self.active] += 1
-        self.missed[rows] = 0
-        self.active &= (self.missed < MAX_MISSED) & (self.agreed > MIN_AGREED)
+    def judged_for_now(self, rows: Indices, agreeing: Choice, inverse_depths: Values,
+                       options: LandmarkOptions) -> 'Landmarks':
+        """Return the same by a pose that may turn out wrong: being seen is enough to stay."""
+        agreed = np.zeros_like(self.agreed)
+        agreed[rows[agreeing]] = options.mature_frames
+        return self._aged(agreed, rows, rows[agreeing], inverse_depths[agreeing], options)
+
+    def woken(self, rows: Indices) -> 'Landmarks':
+        """Return them with those in rows looked for again, which have just been seen."""
+        active, missed = self.active.copy(), self.missed.copy()
+        active[rows] = True
+        missed[rows] = 0
+        return replace(self, active=active, missed=missed)
+
+    def _aged(self, agreed: Indices, seen: Indices, known: Indices, inverse_depths: Values,
+              options: LandmarkOptions) -> 'Landmarks':
+        """Return them with those deactivated that have been missed for long, or disagree."""
+        inverse_depth = self.inverse_depth.copy()
+        inverse_depth[known] = inverse_depths
+        missed = self.missed + self.active
+        missed[seen] = 0
+        active = self.active & (missed < options.max_missed) & (agreed > options.min_agreed)
+        return replace(self, inverse_depth=inverse_depth, agreed=agreed, missed=missed,
+                       active=active)
 
 
 @dataclass
@@ -90,7 +124,7 @@ class Observations(Table):
     y: Bearings
     sqrt_information: Floats
 
-
-def inlier_mask(sizes: Values, scale: float) -> Choice:
-    """Tell which whitened residuals of such sizes (N,) are worth more than a quarter."""
-    return cauchy_weights(sizes, scale) > 0.25
+    @classmethod
+    def none(cls) -> 'Observations':
+        """Return no observations at all."""
+        return cls(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3)))

@@ -15,7 +15,7 @@ so is, by half of it and turning with the camera, every rotation fitted to both.
 through one lens and then through the other tells.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,45 +26,64 @@ from sph_stab_ros.tracking.anchored.bundle_adjustment import (
 
 # For derivatives by differences; all is linear over far more.
 STEP_RAD = 1e-4
-# What is known beforehand of how well a camera's pictures are stitched.
-SIGMA_RAD = np.deg2rad(0.2)
-# Windows share most of their observations, whose errors are alike from keyframe to keyframe: each
-# tells so little, and what older ones told, when less was known, is forgotten.
-SHARE, MEMORY = 0.02, 0.95
-# Where this much, of about chi², speaks against nothing being wrong, it is believed that something
-# is; without a stitch error up to 3 was seen, with 0.3° up to 200.
-SIGNIFICANT = 4.0
-# How much of that knowledge is trusted in the covariance, and what is taken to be usual without;
-# calibrated on simulated flights.
-TRUST, USUAL_RAD = 0.05, np.deg2rad(0.1)
-# A rotation fitted to both halves errs by half, and more where one of them shows more.
-INFLUENCE = 0.7
+
+
+@dataclass(frozen=True)
+class LensOptions:
+    """How the rotation between the halves of a picture is learnt, and trusted."""
+
+    # Standard deviation of what is known beforehand: cameras are stitched so well or better.
+    sigma_rad: float = np.deg2rad(0.2)
+    # Windows share most of their observations, whose errors are alike from keyframe to keyframe:
+    # each tells so little, and what older ones told, when less was known, is forgotten.
+    share: float = 0.02
+    memory: float = 0.95
+    # Where this much, of about chi², speaks against nothing being wrong, it is believed that
+    # something is; without a stitch error up to 3 was seen, with 0.3° up to 200.
+    significant: float = 4.0
+    # How much of that knowledge is trusted in the covariance, and the deviation that is taken to
+    # be usual without; calibrated on simulated flights.
+    trust: float = 0.05
+    usual_rad: float = np.deg2rad(0.1)
+    # A rotation fitted to both halves errs by half, and more where one of them shows more.
+    influence: float = 0.7
 
 
 class Lenses:
     """The rotation vector ``apart`` (3,) between the halves of a stitched picture, as learnt."""
 
-    def __init__(self) -> None:
+    def __init__(self, options: LensOptions) -> None:
+        self._options = options
         self.apart: Vector = np.zeros(3)
         self._information: Matrix = np.zeros((3, 3))
         self._evidence: Vector = np.zeros(3)
 
     def learn(self, H: Matrix, g: Vector) -> Vector:
-        """Take in the normal equations of a window as it is; return by how much ``apart`` grew."""
-        self._information = MEMORY * self._information + SHARE * H
-        self._evidence = MEMORY * self._evidence + SHARE * (H @ self.apart - g)
+        """
+        Take in the normal equations of a window as it is; return by how much ``apart`` grew.
+
+        Least squares that forgets, and shrinks what it finds (W. James and C. Stein, *Estimation
+        with quadratic loss*, Berkeley Symposium on Mathematical Statistics and Probability, 1961;
+        the positive part).
+        """
+        options = self._options
+        self._information = options.memory * self._information + options.share * H
+        self._evidence = (options.memory * self._evidence
+                          + options.share * (H @ self.apart - g))
         likely = np.linalg.solve(
-            self._information + np.eye(3) / SIGMA_RAD ** 2, self._evidence)
+            self._information + np.eye(3) / options.sigma_rad ** 2, self._evidence)
         significance = max(float(likely @ self._information @ likely), 1e-9)
         before = self.apart
-        # Shrunk, as by James and Stein: what may as well be nothing is nothing.
-        self.apart = max(0., 1 - SIGNIFICANT / significance) * likely
+        # What may as well be nothing is nothing.
+        self.apart = max(0., 1 - options.significant / significance) * likely
         return self.apart - before
 
     @property
     def apart_covariance(self) -> Covariance:
         """Return the covariance (3, 3) of ``apart`` in rad²."""
-        return np.linalg.inv(TRUST * self._information + np.eye(3) / USUAL_RAD ** 2)
+        options = self._options
+        return np.linalg.inv(
+            options.trust * self._information + np.eye(3) / options.usual_rad ** 2)
 
     def covariance(self, R_first_camera: Rotation) -> Covariance:
         """
@@ -73,7 +92,8 @@ class Lenses:
         It grows with the turn since the first keyframe, in which they are part of the world.
         """
         D = R_first_camera.as_matrix() - np.eye(3)
-        return INFLUENCE ** 2 * np.trace(D @ self.apart_covariance @ D.T) / 3 * np.eye(3)
+        influence = self._options.influence
+        return influence ** 2 * np.trace(D @ self.apart_covariance @ D.T) / 3 * np.eye(3)
 
     def as_seen(self, bearings: Bearings) -> Bearings:
         """Return where in the picture bearings (N, 3) are to be seen."""

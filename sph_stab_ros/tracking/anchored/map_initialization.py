@@ -16,7 +16,7 @@ pose they speak for; and of several poses that one counts which holds in most pl
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,25 +24,30 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.geometry.arrays import Covariance, Indices, Values
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
-from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION, LandmarkMap
-from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.localization import (
-    GOOD_PREDICTION_RAD, Localization, look_along, MAX_ATTEMPTS, MIN_POINTS, Usable)
+    Localization, LocalizationOptions, look_along, Usable)
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import Points, PoseEstimate
 from sph_stab_ros.tracking.anchored.pose_hypotheses import (
     agreement, fit_poses_among_movers, Guess, places)
+from sph_stab_ros.tracking.motion_model import MotionOptions
 
-# Where the camera is not known to be a pose is right even if it holds in so few of the places:
-# those of walkers, and of the robot's body.
-MIN_AGREEMENT = 0.3
-# So many poses compete from one frame to the next, those being one that differ by less: some
-# deviations of a single corner.
-RIVALS = 3
-SAME_RAD = np.deg2rad(0.02)
-# Of so many places, the mean of truncated residuals in deviations, one for each e-fold of
-# likelihood: residuals of one place are alike from frame to frame.
-TEMPERATURE = 4.
+
+@dataclass(frozen=True)
+class InitializationOptions:
+    """How poses compete at the start of a map."""
+
+    # Where the camera is not known to be a pose is right even if it holds in so few of the places:
+    # those of walkers, and of the robot's body.
+    min_agreement: float = 0.3
+    # So many poses compete from one frame to the next, those being one that differ by less: some
+    # deviations of a single corner.
+    rivals: int = 3
+    same_rad: float = np.deg2rad(0.02)
+    # Of so many places, the mean of truncated residuals in deviations, one for each e-fold of
+    # likelihood: residuals of one place are alike from frame to frame.
+    temperature: float = 4.
 
 
 class MapInitializer:
@@ -53,18 +58,16 @@ class MapInitializer:
     ----------
     landmark_map : LandmarkMap
         With one keyframe and its landmarks.
-    position_sigma_per_s : float
-        How far the camera moves per second, in distances of landmarks.
-    min_position_sigma : float
-        The same for the first frames.
+    options : InitializationOptions
+    localization : LocalizationOptions
+    motion : MotionOptions
 
     """
 
-    def __init__(self, landmark_map: LandmarkMap, position_sigma_per_s: float,
-                 min_position_sigma: float) -> None:
-        assert landmark_map.landmarks is not None
+    def __init__(self, landmark_map: LandmarkMap, options: InitializationOptions,
+                 localization: LocalizationOptions, motion: MotionOptions) -> None:
         self._map = landmark_map
-        self._sigma_per_s, self._min_sigma = position_sigma_per_s, min_position_sigma
+        self._options, self._localization, self._motion = options, localization, motion
         self._first_ns: int | None = None
         # Orientation by the pose that counted before, to tell how far another one differs; None
         # where the last frame was not localized here.
@@ -84,62 +87,68 @@ class MapInitializer:
         """
         self.R_world_continued = None
         self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
-        sigma = max(self._sigma_per_s * (stamp_ns - self._first_ns) / NS_PER_S, self._min_sigma)
+        options = self._localization
+        sigma = max(self._motion.position_sigma_per_s * (stamp_ns - self._first_ns) / NS_PER_S,
+                    self._motion.min_position_sigma)
         R_world_key = rotation_from_matrix(self._map.keyframes[0].R)
-        for _ in range(MAX_ATTEMPTS):
+        for _ in range(options.max_attempts):
             guesses = [
                 (R_camera_last * R_last_key * R_world_key.inv(), R_world_key.apply(position))
                 for R_last_key, position in self._rivals]
             R_world_camera = guesses[0][0].inv()
             found, points = self._look_for(pyramid, R_camera_last, R_world_camera, is_usable)
-            if len(found) < MIN_POINTS:
+            if len(found) < options.min_points:
                 return None
-            poses, costs = fit_poses_among_movers(points, guesses, sigma, self._rng)
+            poses, costs = fit_poses_among_movers(
+                points, guesses, sigma, self._rng, options.hypotheses)
             pose = poses[np.argmin(costs)]
-            agreeing = inlier_mask(pose.sizes, pose.scale)
-            if agreement(points.y, agreeing) < MIN_AGREEMENT or agreeing.sum() < MIN_POINTS:
+            agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
+            if agreeing.sum() < options.min_points or self._options.min_agreement > agreement(
+                    points.y, agreeing, options.hypotheses):
                 return None
             R_camera_last = pose.R_camera_world * R_world_key * self._rivals[0][0].inv()
-            if (pose.R_camera_world * R_world_camera).magnitude() < GOOD_PREDICTION_RAD:
+            if (pose.R_camera_world * R_world_camera).magnitude() < options.good_prediction_rad:
                 break
         self._y = R_camera_last.apply(self._y)
         self._y[found] = points.y
         ranked = [poses[i] for i in np.argsort(costs, kind='stable')]
         self._rivals = [(one.R_camera_world * R_world_key, R_world_key.inv().apply(one.position))
-                        for one in distinct(ranked)[:RIVALS]]
+                        for one in distinct(ranked, self._options.same_rad)[:self._options.rivals]]
         self.R_world_continued = poses[0].R_camera_world.inv()
-        pose.covariance[:3, :3] += contested(poses, costs, len(places(points.y)[1]))
+        pose.covariance[:3, :3] += contested(
+            poses, costs, len(places(points.y, options.hypotheses.place_rad)[1]),
+            self._options.temperature)
         return Localization(found, points, pose, agreeing)
 
     def _look_for(self, pyramid: Pyramid, R_camera_last: Rotation, R_world_camera: Rotation,
                   is_usable: Usable) -> tuple[Indices, Points]:
         """Return which landmarks are found near where they were last seen, as Points."""
-        assert self._map.landmarks is not None
         rows = np.flatnonzero(self._map.landmarks.active)
         found, points = look_along(
             (R_world_camera * R_camera_last).apply(self._y[rows]), self._map, rows, pyramid,
-            R_world_camera, is_usable)
+            R_world_camera, is_usable, self._localization.search)
         return found, replace(points, inverse_depths=np.ones(len(found)),
-                              information=np.full(len(found), FIRST_INFORMATION))
+                              information=np.full(len(found), self._map.options.first_information))
 
 
-def contested(poses: list[PoseEstimate], costs: Values, places_seen: int) -> Covariance:
+def contested(poses: list[PoseEstimate], costs: Values, places_seen: int,
+              temperature: float) -> Covariance:
     """
     Return the covariance (3, 3) in rad² of the best pose's rotation, in the camera, by its rivals.
 
     Each may be right, the less likely the fewer places agree.
     """
-    likely = np.exp((costs.min() - costs) * places_seen / TEMPERATURE)
+    likely = np.exp((costs.min() - costs) * places_seen / temperature)
     best = poses[np.argmin(costs)].R_camera_world.inv()
     off = np.array([(one.R_camera_world * best).as_rotvec() for one in poses])
     return (off * likely[:, None]).T @ off / likely.sum()
 
 
-def distinct(poses: Sequence[PoseEstimate]) -> list[PoseEstimate]:
-    """Return those PoseEstimates that are not turned like one before."""
+def distinct(poses: Sequence[PoseEstimate], same_rad: float) -> list[PoseEstimate]:
+    """Return those PoseEstimates that are not turned like one before, by so much at least."""
     kept: list[PoseEstimate] = []
     for pose in poses:
-        if all((pose.R_camera_world * one.R_camera_world.inv()).magnitude() > SAME_RAD
+        if all((pose.R_camera_world * one.R_camera_world.inv()).magnitude() > same_rad
                for one in kept):
             kept.append(pose)
     return kept

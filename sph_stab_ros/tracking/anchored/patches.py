@@ -13,7 +13,7 @@ A patch is read on a plane that touches the sphere, so that neither latitude nor
 changes it; and it is found again straight in the camera's picture, where no second warp blurs.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -25,22 +25,35 @@ from sph_stab_ros.tracking.anchored.table import Table
 
 # The whole picture, and half of it.
 LEVELS = 2
-BLUR_PX = 0.5
-# A patch has 11×11 samples, one every 1.5 px of its level.
+# A patch has 11×11 samples; the compiled loops know it too.
 SAMPLES = 11
-SPACING_PX = 1.5
-# Pictures go on so far beyond their edges, small ones less: half a patch at 68° of latitude, and
-# what it moves.
-MARGIN_PX = 48
-MAX_LATITUDE_RAD = np.deg2rad(68)
-# Iterations at each level, the largest step, and one so small that it is the last.
-ITERATIONS = (4, 3)
-MAX_STEP_PX = 2.0
-SETTLED_PX = (0.1, 0.3)
-MIN_CONTRAST = 1.0
-# Standard deviation of a strong corner, and the mean squared gradient that makes one.
-CORNER_SIGMA_PX = 0.1
-NOISE_GRADIENT = 50.0
+
+
+@dataclass(frozen=True)
+class PatchOptions:
+    """How patches are cut and found; pixels are those of a level, pairs one value per level."""
+
+    # Standard deviation of a picture's blur, so that gradients by differences hold between pixels.
+    blur_px: float = 0.5
+    # From sample to sample: a patch is 15 px wide, 8° of a picture of 640 columns.
+    spacing_px: float = 1.5
+    # Pictures go on so far beyond their edges, small ones less: half a patch at 68° of latitude,
+    # and what it moves.
+    margin_px: int = 48
+    # Nearer to the poles patches are not read exactly, see _maps.
+    max_latitude_rad: float = np.deg2rad(68)
+    # At most so many; most patches have settled before.
+    iterations: tuple[int, int] = (4, 3)
+    # No step is longer: gradients do not hold farther than the texture is wide.
+    max_step_px: float = 2.0
+    # So short a step is the last one: a patch is hardly exacter, or the next level mends it.
+    settled_px: tuple[float, float] = (0.1, 0.3)
+    # What is seen with less contrast, in grey values, is not amplified any more: it is noise.
+    min_contrast: float = 1.0
+    # Standard deviation of a strong corner (0.08 is what remains in clips that are only turned),
+    # and the mean squared gradient per pixel that makes one half as certain.
+    corner_sigma_px: float = 0.1
+    noise_gradient: float = 50.0
 
 
 class Pyramid:
@@ -50,9 +63,10 @@ class Pyramid:
     Each is made when it is asked for: the halved one seldom is.
     """
 
-    def __init__(self, grey: Grey) -> None:
+    def __init__(self, grey: Grey, options: PatchOptions) -> None:
+        self.options = options
         self.width = grey.shape[1]
-        self.margin_px = min(MARGIN_PX, grey.shape[0] >> LEVELS - 1)
+        self.margin_px = min(options.margin_px, grey.shape[0] >> LEVELS - 1)
         self._grey = grey
         self._images: dict[int, Grey] = {}
 
@@ -62,7 +76,7 @@ class Pyramid:
             grey = self._grey if level == 0 else cv2.resize(
                 self._grey, None, fx=0.5 ** level, fy=0.5 ** level, interpolation=cv2.INTER_AREA)
             self._images[level] = cv2.GaussianBlur(
-                pad_sphere(grey, self.margin_px), (0, 0), BLUR_PX)
+                pad_sphere(grey, self.margin_px), (0, 0), self.options.blur_px)
         return self._images[level]
 
     def px_per_rad(self, level: int = 0) -> float:
@@ -99,17 +113,17 @@ class Patches(Table):
     @classmethod
     def cut(cls, pyramid: Pyramid, x: Bearings, east: Vectors, south: Vectors) -> 'Patches':
         """Return the Patches around bearings x (N, 3) with unit tangents east and south there."""
-        levels = []
+        levels, options = [], pyramid.options
         for level in range(LEVELS):
             u, v, _, _ = _maps(x, east, south, pyramid, level, SAMPLES + 2, np.ones(len(x)))
             grey = pyramid.read(level, u, v).reshape(len(x), SAMPLES + 2, SAMPLES + 2)
             inner = grey[:, 1:-1, 1:-1].reshape(len(x), -1)
             G = np.stack(((grey[:, 1:-1, 2:] - grey[:, 1:-1, :-2]).reshape(len(x), -1),
                           (grey[:, 2:, 1:-1] - grey[:, :-2, 1:-1]).reshape(len(x), -1)), axis=1)
-            G /= 2 * SPACING_PX
+            G /= 2 * options.spacing_px
             if level == 0:
-                sqrt_information_px = _sqrt_information_px(np.einsum('nip,njp->nij', G, G)
-                                                           / inner.shape[1])
+                sqrt_information_px = _sqrt_information_px(
+                    np.einsum('nip,njp->nij', G, G) / inner.shape[1], options)
             template = inner - inner.mean(axis=1, keepdims=True)
             squared = np.maximum(np.einsum('np,np->n', template, template), 1e-6)
             # What a change of brightness or contrast would look like says nothing of an offset.
@@ -129,7 +143,11 @@ class Patches(Table):
         """
         Return where the patches in rows are in a picture.
 
-        Inverse compositional alignment, free of brightness and contrast.
+        Inverse compositional alignment (S. Baker and I. Matthews, *Lucas–Kanade 20 years on: a
+        unifying framework*, International Journal of Computer Vision 56(3), 2004), free of
+        brightness and contrast, which the solvers do not see (G. Hager and P. Belhumeur,
+        *Efficient region tracking with parametric models of geometry and illumination*, IEEE
+        Transactions on Pattern Analysis and Machine Intelligence 20(10), 1998).
 
         Parameters
         ----------
@@ -159,77 +177,57 @@ class Patches(Table):
         for level in reversed(range(levels)):
             difference, length = settle(
                 rows, pyramid, level, expected, east, south, scale, offsets)
-        deviation = np.maximum(self.deviations[rows, level], MIN_CONTRAST)
+        deviation = np.maximum(self.deviations[rows, level], pyramid.options.min_contrast)
         return offsets, 1 - difference / (2 * deviation ** 2), length
 
     def _settle_compiled(self, rows: Indices, pyramid: Pyramid, level: int, expected: Bearings,
                          east: Vectors, south: Vectors, scale: Values,
                          offsets: Floats) -> tuple[Values, Values]:
         difference, length = np.zeros((2, len(rows)), np.float32)
-        image = pyramid.image(level)
+        image, options = pyramid.image(level), pyramid.options
         kernels.library.settle_patches(
             len(rows), rows, expected, east, south, scale, image, *image.shape,
             pyramid.margin_px, self.templates, self.deviations, self.solvers, level, LEVELS,
-            SPACING_PX, ITERATIONS[level], MAX_STEP_PX, SETTLED_PX[level], MIN_CONTRAST,
-            offsets, difference, length)
+            options.spacing_px, options.iterations[level], options.max_step_px,
+            options.settled_px[level], options.min_contrast, offsets, difference, length)
         return difference, length
 
     def _settle(self, rows: Indices, pyramid: Pyramid, level: int, expected: Bearings,
                 east: Vectors, south: Vectors, scale: Values,
                 offsets: Floats) -> tuple[Values, Values]:
         """Improve offsets (N, 2) in place; return mean squared differences, last steps (N,)."""
-        px = pyramid.px_per_rad(level)
+        px, options = pyramid.px_per_rad(level), pyramid.options
         b = expected + offsets[:, :1] * east + offsets[:, 1:] * south
         b /= np.linalg.norm(b, axis=1, keepdims=True)
         u, v, u_moves, v_moves = _maps(b, east, south, pyramid, level, SAMPLES, scale)
         template, deviation = self.templates[rows, level], self.deviations[rows, level]
         solver = self.solvers[rows, level] * np.asarray(scale, np.float32)[:, None, None]
-        for _ in range(ITERATIONS[level]):
+        for _ in range(options.iterations[level]):
             grey = pyramid.read(level, u, v)
             grey -= grey.mean(axis=1, keepdims=True)
             seen = np.sqrt(np.einsum('np,np->n', grey, grey) / grey.shape[1])
-            grey *= (deviation / np.maximum(seen, MIN_CONTRAST))[:, None]
+            grey *= (deviation / np.maximum(seen, options.min_contrast))[:, None]
             grey -= template
             step = np.einsum('nip,np->ni', solver, grey)
             length = np.sqrt(np.einsum('ni,ni->n', step, step))
-            step *= np.minimum(1, MAX_STEP_PX / np.maximum(length, 1e-6))[:, None]
+            step *= np.minimum(1, options.max_step_px / np.maximum(length, 1e-6))[:, None]
             offsets -= step / px
             u -= np.einsum('ni,ni->n', u_moves, step)[:, None]
             v -= np.einsum('ni,ni->n', v_moves, step)[:, None]
         return np.einsum('np,np->n', grey, grey) / grey.shape[1], length
 
 
-class PatchStore:
-    """Patches that stay where they are: thousands of them take milliseconds to be moved."""
+def _sqrt_information_px(G: Floats, options: PatchOptions) -> Floats:
+    """
+    Return the symmetric root of ``G (G + G0)⁻¹ / σ²`` for mean structure tensors (N, 2, 2).
 
-    def __init__(self) -> None:
-        self.patches: Patches | None = None
-        self._free: Indices = np.empty(0, int)
-
-    def put(self, patches: Patches) -> Indices:
-        """Take in Patches and return the rows (N,) in which they are."""
-        missing = len(patches) - len(self._free)
-        if missing > 0:
-            size = 0 if self.patches is None else len(self.patches)
-            more = max(missing, size // 2)
-            room = patches[np.zeros(more, int)]
-            self.patches = room if self.patches is None else Patches.joined((self.patches, room))
-            self._free = np.concatenate((self._free, np.arange(size, size + more)))
-        rows, self._free = np.split(self._free, [len(patches)])
-        for one in fields(Patches) if len(patches) else ():
-            getattr(self.patches, one.name)[rows] = getattr(patches, one.name)
-        return rows
-
-    def give_back(self, rows: Indices) -> None:
-        """Let others use these rows (N,) from now on."""
-        self._free = np.concatenate((self._free, rows))
-
-
-def _sqrt_information_px(G: Floats) -> Floats:
-    """Return the symmetric root of ``G (G + G0)⁻¹ / σ²`` for mean structure tensors (N, 2, 2)."""
+    That G is the information about an offset is W. Förstner and E. Gülch's, *A fast operator for
+    detection and precise location of distinct points, corners and centres of circular features*,
+    ISPRS Intercommission Workshop, 1987; that it ends at σ is ours: noise is not the worst error.
+    """
     values, vectors = np.linalg.eigh(G)
     values = np.maximum(values, 1e-3)
-    roots = np.sqrt(values / (values + NOISE_GRADIENT)) / CORNER_SIGMA_PX
+    roots = np.sqrt(values / (values + options.noise_gradient)) / options.corner_sigma_px
     return (vectors * roots[:, None, :]) @ np.swapaxes(vectors, 1, 2)
 
 
@@ -246,7 +244,7 @@ def _maps(b: Bearings, east: Vectors, south: Vectors, pyramid: Pyramid, level: i
     down, right = (one.ravel() for one in np.meshgrid(coordinates, coordinates, indexing='ij'))
     powers = np.stack((np.ones_like(right), right, down, right ** 2, right * down, down ** 2))
     px = pyramid.px_per_rad(level)
-    spacing_rad = scale * SPACING_PX / px
+    spacing_rad = scale * pyramid.options.spacing_px / px
     steps = px * spacing_rad[:, None] ** (0, 1, 1, 2, 2, 2)
     lon, lat = _expansion(b, east, south)
     width = pyramid.width >> level

@@ -13,7 +13,8 @@ A point was first seen from the position c, at bearing x (both in the world) and
 from position p it is seen along ``R (x − ρ (p − c))``, R = R_camera_world. With ρ unknown this
 says how far a bearing is off its epipolar plane, one equation; with ρ known, two. Depths that
 carry their own uncertainty need no choice between the two, nor between rotation with and without
-translation.
+translation (J. Civera, A. J. Davison and J. M. M. Montiel, *Inverse depth parametrization for
+monocular SLAM*, IEEE Transactions on Robotics 24(5), 2008).
 """
 
 from dataclasses import dataclass, replace
@@ -24,21 +25,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
-from sph_stab_ros.geometry.arrays import Bearings, Floats, Matrix, Values, Vector, Vectors
+from sph_stab_ros.geometry.arrays import (
+    Bearings, Choice, Floats, Matrix, Values, Vector, Vectors)
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.table import Table
 
-ITERATIONS = 10
-MIN_ITERATIONS = 4
-STEP_TOLERANCE = 3e-5
-DEPTH_ITERATIONS = 4
-# Of the robust losses, in standard deviations.
-CAUCHY = 2.0
 # Of the absolute value of a Gaussian in one dimension, and of its length in two.
 MEDIAN_1D, MEDIAN_2D = 0.6745, 1.1774
-# The residuals' scale, in the deviations expected, is no less.
-MIN_SCALE = 0.3
-MAX_INVERSE_DEPTH = 5.0
 
 # H and g of poses, H_rp between depths and poses, H_rr and g_r of depths.
 NormalEquations: TypeAlias = tuple[Floats, Floats, Floats, Values, Values]
@@ -66,23 +59,48 @@ class Points(Table):
 @dataclass(frozen=True)
 class Loss:
     """
-    A robust loss: weights of residuals are Cauchy's to a power.
+    A robust loss, by the weights of iteratively reweighted least squares: Cauchy's to a power.
 
-    ``wide_start`` tells how many times wider it is in the first iteration; the residuals' own
-    scale, in the deviations expected, is believed up to ``max_scale``.
+    P. W. Holland and R. E. Welsch, *Robust regression using iteratively reweighted
+    least-squares*, Communications in Statistics A6(9), 1977. By default for what is one scene but
+    for a few.
     """
 
-    power: int
-    wide_start: float
-    max_scale: float
+    # A residual of so many standard deviations counts half.
+    width: float = 2.0
+    # 1 is Cauchy's. 2 is S. Geman and D. McClure's, of which outliers do not pull, however many
+    # they are: for a start that is good already.
+    power: int = 1
+    # How many times wider it is in the first iteration; half of that in each one after. Who starts
+    # wide falls into fewer wrong valleys (A. Blake and A. Zisserman, *Visual Reconstruction*,
+    # 1987).
+    wide_start: float = 4.0
+    # The residuals' own scale, in the deviations expected, is believed within these. With more
+    # that move by themselves it would grow until nothing is an outlier any more; a smaller one is
+    # taken for chance.
+    min_scale: float = 0.3
+    max_scale: float = 2.0
+
+    def inliers(self, sizes: Values, scale: float) -> Choice:
+        """Tell which whitened residuals of such sizes (N,) are worth more than a quarter."""
+        return cauchy_weights(sizes, self.width * scale) > 0.25
 
 
-# For what is one scene but for a few. With more of their own motion the scale would grow until
-# nothing is an outlier any more.
-CAUCHY_LOSS = Loss(power=1, wide_start=4., max_scale=2.)
-# Geman and McClure's, of which outliers do not pull, however many they are: for a start that is
-# good already.
-GEMAN_MCCLURE_LOSS = Loss(power=2, wide_start=1., max_scale=1.)
+@dataclass(frozen=True)
+class PoseOptions:
+    """How a pose is fitted to points."""
+
+    loss: Loss = Loss()
+    # It ends after a step that is as short, in radians (a three-hundredth of a pixel) and in units
+    # of length, but not before the loss is as narrow as it will be.
+    max_iterations: int = 10
+    min_iterations: int = 4
+    step_tolerance: float = 3e-5
+    # Of depths at a known pose, for which all points are independent.
+    depth_iterations: int = 4
+    # In the inverse unit of length: nothing is nearer than a fifth of the distance at which
+    # landmarks are taken to be at first.
+    max_inverse_depth: float = 5.0
 
 
 @dataclass(frozen=True)
@@ -105,28 +123,29 @@ class PoseEstimate:
 
 
 def fit_pose(points: Points, R_camera_world: Rotation, position: Vector, position_sigma: float,
-             loss: Loss = CAUCHY_LOSS, iterations: int = ITERATIONS, say: Values | float = 1.,
+             options: PoseOptions, say: Values | float = 1.,
              inverse_depths: Values | None = None) -> PoseEstimate:
     """
     Return the PoseEstimate that takes Points to where they are seen.
 
     Minimises ``Σ v ρ_C(|W (b − y)| / s) + Σ λ (ρ − ρ0)² + |p − p0|² / σ²``, b the unit vector
     along ``R (x − ρ (p − c))``, over R, p and all ρ by Gauss–Newton with a robust Loss, narrowing.
-    Each ρ is eliminated from the 6×6 normal equations (Schur complement); s is the residuals' own
-    scale, v = ``say`` (N,) ≤ 1 the say of each point. R (Rotation), p0 = ``position`` (3,) and
-    ``inverse_depths`` (N,), by default ρ0, are the start.
+    Each ρ is eliminated from the 6×6 normal equations (Schur complement, as in bundle adjustment);
+    s is the residuals' own scale, v = ``say`` (N,) ≤ 1 the say of each point. R (Rotation),
+    p0 = ``position`` (3,) and ``inverse_depths`` (N,), by default ρ0, are the start.
     """
+    loss = options.loss
     R, p = R_camera_world.as_matrix(), position
     rho = points.inverse_depths if inverse_depths is None else inverse_depths
     information = points.information
     known = np.ones(len(points))
-    for iteration in range(iterations):
+    for iteration in range(options.max_iterations):
         r = residuals(points, R, p, rho)
         sizes = np.sqrt(np.einsum('nk,nk->n', r, r))
         expected = MEDIAN_1D + (MEDIAN_2D - MEDIAN_1D) * known
-        scale = min(max(median(sizes / expected), MIN_SCALE), loss.max_scale)
+        scale = min(max(median(sizes / expected), loss.min_scale), loss.max_scale)
         widened = scale * max(1., loss.wide_start / 2 ** iteration)
-        weights = cauchy_weights(sizes, widened) ** loss.power
+        weights = cauchy_weights(sizes, loss.width * widened) ** loss.power
         H, g, H_rp, H_rr, g_r = equations(points, R, p, rho, r, say * weights / scale ** 2)
         H -= (H_rp / H_rr[:, None]).T @ H_rp
         g -= (g_r / H_rr) @ H_rp
@@ -136,41 +155,41 @@ def fit_pose(points: Points, R_camera_world: Rotation, position: Vector, positio
         # In a quarter of NumPy's time.
         step = -cv2.solve(H, g)[1].ravel()
         # A point behind the camera has no inverse depth; at infinity it has zero.
-        rho = np.clip(rho - (g_r + H_rp @ step) / H_rr, 0., MAX_INVERSE_DEPTH)
+        rho = np.clip(rho - (g_r + H_rp @ step) / H_rr, 0., options.max_inverse_depth)
         R = cv2.Rodrigues(step[:3])[0] @ R
         p = p + step[3:]
-        if iteration + 1 >= MIN_ITERATIONS and np.abs(step).max() < STEP_TOLERANCE:
+        if iteration + 1 >= options.min_iterations and np.abs(step).max() < options.step_tolerance:
             break
     return PoseEstimate(
         rotation_from_matrix(R), p, rho, sizes, weights, scale, np.linalg.inv(H))
 
 
-def fit_depths(points: Points, pose: PoseEstimate) -> PoseEstimate:
+def fit_depths(points: Points, pose: PoseEstimate, options: PoseOptions) -> PoseEstimate:
     """
     Return the PoseEstimate of other Points seen by the camera of a PoseEstimate.
 
     Only their inverse depths are fitted: they have no say in the pose.
     """
     R, p = pose.R_camera_world.as_matrix(), pose.position
-    rho = depths_at(points, R, p)
+    rho = depths_at(points, R, p, options)
     sizes = np.linalg.norm(residuals(points, R, p, rho), axis=1)
     return replace(pose, inverse_depths=rho, sizes=sizes,
-                   weights=cauchy_weights(sizes, pose.scale))
+                   weights=cauchy_weights(sizes, options.loss.width * pose.scale))
 
 
-def depths_at(points: Points, R: Matrix, p: Vector) -> Values:
+def depths_at(points: Points, R: Matrix, p: Vector, options: PoseOptions) -> Values:
     """Return the inverse depths (N,) that fit a known pose best."""
     rho, equally = points.inverse_depths, np.ones(len(points))
-    for _ in range(DEPTH_ITERATIONS):
+    for _ in range(options.depth_iterations):
         r = residuals(points, R, p, rho)
         _, _, _, H_rr, g_r = equations(points, R, p, rho, r, equally)
-        rho = np.clip(rho - g_r / H_rr, 0., MAX_INVERSE_DEPTH)
+        rho = np.clip(rho - g_r / H_rr, 0., options.max_inverse_depth)
     return rho
 
 
-def cauchy_weights(sizes: Values, scale: float) -> Values:
-    """Return the weights of residuals of such sizes, in (0, 1]."""
-    return 1 / (1 + (sizes / (CAUCHY * scale)) ** 2)
+def cauchy_weights(sizes: Values, width: float) -> Values:
+    """Return the weights of residuals of such sizes, in (0, 1]: ½ of those as large as width."""
+    return 1 / (1 + (sizes / width) ** 2)
 
 
 def median(values: Values) -> float:

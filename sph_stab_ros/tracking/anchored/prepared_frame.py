@@ -10,15 +10,15 @@
 
 from sph_stab_ros.geometry.arrays import Grey
 from sph_stab_ros.images.texture import at_most, TEXTURE_WIDTH
-from sph_stab_ros.tracking.anchored.patches import Pyramid
-from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
+from sph_stab_ros.tracking.anchored.patches import PatchOptions, Pyramid
+from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail, ThumbnailOptions
 
 
 class PreparedFrame:
     """A grey sphere, as a whole and small, with its Pyramid and its Thumbnail."""
 
-    def __init__(self, grey: Grey) -> None:
+    def __init__(self, grey: Grey, patches: PatchOptions, thumbnails: ThumbnailOptions) -> None:
         self.grey = grey
         self.small = at_most(grey, TEXTURE_WIDTH)
-        self.pyramid = Pyramid(grey)
-        self.thumbnail = Thumbnail(self.small)
+        self.pyramid = Pyramid(grey, patches)
+        self.thumbnail = Thumbnail(self.small, thumbnails)

@@ -16,24 +16,38 @@ in the world as it was.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Grey, Mask
-from sph_stab_ros.tracking.anchored.landmark_map import Keyframe
+from sph_stab_ros.tracking.anchored.keyframe import Keyframe
 from sph_stab_ros.tracking.frame_to_frame.estimators.base import BearingPairs, RotationEstimate
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import fit_essential
 from sph_stab_ros.tracking.frame_to_frame.features import detect, Features, match
 
-# The last keyframes before the loss are compared first, then as many of the others.
-LAST_TRIED = OTHERS_TRIED = 8
-# Where the new world began may never have been seen; so many of its other pictures are tried.
-MAX_PICTURES = 4
-# A single one may have been misled, by the robot's own body or by walkers; it is believed when
-# another keyframe says the same.
-AGREEMENT_RAD = np.deg2rad(3)
-SIGMA_RAD = np.deg2rad(1)
+
+@dataclass(frozen=True)
+class RelocalizationOptions:
+    """How a world that was lost is looked for."""
+
+    # Near the camera's last place, by landmarks: so many of the last keyframes are compared by
+    # thumbnails, and the likeliest headings tried; each takes as long as a frame.
+    nearby_keyframes: int = 6
+    nearby_attempts: int = 3
+    # By features, each of which takes a tenth of a second: the last keyframes before the loss
+    # first, then as many of the others.
+    last_tried: int = 8
+    others_tried: int = 8
+    # Where the new world began may never have been seen; so many of its other pictures are tried.
+    max_pictures: int = 4
+    # A single one may have been misled, by the robot's own body or by walkers; it is believed when
+    # another keyframe says the same, within this, and then known so well.
+    agreement_rad: float = np.deg2rad(3)
+    sigma_rad: float = np.deg2rad(1)
+    # How a camera that was lost is turned nobody knows: as good as any standard deviation.
+    lost_rad: float = 1.
 
 
 class Relocalizer:
@@ -52,21 +66,25 @@ class Relocalizer:
         Of the picture, in the world that has begun with it.
     used : (H, W) bool
         Pixels to use of any of the pictures.
+    options : RelocalizationOptions
+        How many keyframes and pictures are tried.
+    pictures_before : int
+        How many of the new world have been tried in vain.
 
     """
 
     def __init__(self, keyframes: Sequence[Keyframe], grey: Grey, R_new_camera: Rotation,
-                 used: Mask, pictures_left: int = MAX_PICTURES - 1) -> None:
+                 used: Mask, options: RelocalizationOptions, pictures_before: int = 0) -> None:
         self.keyframes = keyframes
-        self._pictures_left = pictures_left
+        self._options, self._pictures_tried = options, pictures_before + 1
         self._grey, self._used, self._R_new_camera = grey, used, R_new_camera
         self._features: Features | None = None
         # R_old_new by each keyframe that had an answer, and on how many pairs that stands.
         self._answers: list[Rotation] = []
         self._supports: list[int] = []
-        others = keyframes[:-LAST_TRIED]
-        every = max(1, -(-len(others) // OTHERS_TRIED))
-        self._untried = [*others[::every], *keyframes[-LAST_TRIED:]]
+        others = keyframes[:-options.last_tried]
+        every = max(1, -(-len(others) // options.others_tried))
+        self._untried = [*others[::every], *keyframes[-options.last_tried:]]
 
     @property
     def is_over(self) -> bool:
@@ -74,11 +92,11 @@ class Relocalizer:
         return not self._untried
 
     def with_another(self, grey: Grey, R_new_camera: Rotation) -> 'Relocalizer | None':
-        """Return the same for another picture of the new world, None after MAX_PICTURES."""
-        if not self._pictures_left:
+        """Return the same for another picture of the new world, None after enough of them."""
+        if self._pictures_tried >= self._options.max_pictures:
             return None
-        return Relocalizer(
-            self.keyframes, grey, R_new_camera, self._used, self._pictures_left - 1)
+        return Relocalizer(self.keyframes, grey, R_new_camera, self._used, self._options,
+                           self._pictures_tried)
 
     def step(self) -> Rotation | None:
         """Compare with one more keyframe; return R_old_new, of the two worlds, once it is sure."""
@@ -95,7 +113,7 @@ class Relocalizer:
         self._answers.append(R_old_new)
         self._supports.append(estimate.support)
         answers = Rotation.concatenate(self._answers)
-        alike = (answers * R_old_new.inv()).magnitude() < AGREEMENT_RAD
+        alike = (answers * R_old_new.inv()).magnitude() < self._options.agreement_rad
         return answers[alike].mean(np.array(self._supports)[alike]) if alike.sum() > 1 else None
 
 

@@ -9,6 +9,7 @@
 """Coarse alignment of two tiny spheres by their grey values: a start for everything finer."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Protocol, TypeVar
 
@@ -21,26 +22,41 @@ from sph_stab_ros.geometry.equirect import bearing_grid, pad_sphere, row_solid_a
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 
-WIDTH = 64
-BLUR_PX = 1.0
-# Table nearer to the poles than this have no usable gradient along longitude.
-MAX_LATITUDE_RAD = np.deg2rad(75)
-ITERATIONS = 10
-STEP_TOLERANCE_RAD = 1e-3
-# Grey values are scaled to unit variance; residuals beyond this count less (Huber).
-HUBER = 0.5
-# Headings from which to start where nothing is known.
-YAW_STARTS_RAD = np.deg2rad((0, 60, -60, 120, -120, 180))
+
+@dataclass(frozen=True)
+class ThumbnailOptions:
+    """How thumbnails are made and aligned."""
+
+    # In pixels, of 5.6° each: what moves by itself hardly shows, and alignment costs little.
+    width: int = 64
+    # Standard deviation of the blur in these: none would alias, more would hide what is small.
+    blur_px: float = 1.0
+    # Rows nearer to the poles than this have no usable gradient along longitude.
+    max_latitude_rad: float = np.deg2rad(75)
+    # At most so many; a step as short, of a hundredth of a pixel, is the last one.
+    max_iterations: int = 10
+    step_tolerance_rad: float = 1e-3
+    # Residuals beyond this count less, in standard deviations of the picture's grey values.
+    huber: float = 0.5
+    # Headings from which to start where nothing is known: one of them is within 30°.
+    yaw_starts_rad: tuple[float, ...] = tuple(np.deg2rad((0, 60, -60, 120, -120, 180)))
 
 
 class Thumbnail:
-    """A grey sphere (H, W) reduced to 32 × 64, of zero mean and unit variance."""
+    """
+    A grey sphere (H, W) reduced to 32 × 64, of zero mean and unit variance.
 
-    def __init__(self, grey: Grey) -> None:
-        small = cv2.resize(grey, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
+    The small blurry image of G. Klein and D. Murray, *Improving the agility of keyframe-based
+    SLAM*, European Conference on Computer Vision, 2008.
+    """
+
+    def __init__(self, grey: Grey, options: ThumbnailOptions) -> None:
+        self.options = options
+        small = cv2.resize(
+            grey, (options.width, options.width // 2), interpolation=cv2.INTER_AREA)
         margin_px = 4
         padded = pad_sphere(small.astype(np.float32), margin_px)
-        blurred = cv2.GaussianBlur(padded, (0, 0), BLUR_PX)
+        blurred = cv2.GaussianBlur(padded, (0, 0), options.blur_px)
         contrast = blurred.std()
         self.padded = (blurred - blurred.mean()) / max(contrast, 1.)
         self.margin_px = margin_px
@@ -48,7 +64,7 @@ class Thumbnail:
 
     def read(self, bearings: Bearings) -> Values:
         """Return the values (N,) along bearings (3, N) float32."""
-        u, v = Equirect(WIDTH).pixels(*bearings)
+        u, v = Equirect(self.options.width).pixels(*bearings)
         return cv2.remap(self.padded, u + self.margin_px, v + self.margin_px,
                          cv2.INTER_LINEAR).ravel()
 
@@ -66,31 +82,34 @@ def align_thumbnails(reference: Thumbnail, current: Thumbnail,
     """
     Return the R_current_reference that makes two Thumbnails agree, starting from a guess.
 
-    Gauss–Newton on ``Σ w ρ(I_c(R x) − I_r(x))``, inverse compositional: the gradient of the
-    reference, ``∂I_r(exp(ω) x)/∂ω = x × ∇I_r``, is used throughout.
+    Gauss–Newton on ``Σ w ρ(I_c(R x) − I_r(x))``, ρ P. J. Huber's loss; inverse compositional
+    (S. Baker and I. Matthews, *Lucas–Kanade 20 years on: a unifying framework*, International
+    Journal of Computer Vision 56(3), 2004): the gradient of the reference,
+    ``∂I_r(exp(ω) x)/∂ω = x × ∇I_r``, is used throughout.
     """
-    rows, weights = _rows_used()
-    grid = bearing_grid(WIDTH)[rows].reshape(-1, 3).T
+    options = reference.options
+    rows, weights = _rows_used(options)
+    grid = bearing_grid(options.width)[rows].reshape(-1, 3).T
     J = rotation_gradient(reference.padded, reference.margin_px)[rows].reshape(-1, 3)
     expected = reference.image[rows].ravel()
     R = R_current_reference.as_matrix()
-    for _ in range(ITERATIONS):
+    for _ in range(options.max_iterations):
         seen = current.read(R.astype(np.float32) @ grid)
         residual = seen - expected
-        w = weights * np.minimum(1, HUBER / np.maximum(np.abs(residual), 1e-6))
+        w = weights * np.minimum(1, options.huber / np.maximum(np.abs(residual), 1e-6))
         weighted = w[:, None] * J
         # By singular values, because a picture may not tell of all axes.
         omega = cv2.solve(weighted.T @ J, weighted.T @ residual, flags=cv2.DECOMP_SVD)[1]
         R = R @ cv2.Rodrigues(-omega.astype(float))[0]
-        if np.linalg.norm(omega) < STEP_TOLERANCE_RAD:
+        if np.linalg.norm(omega) < options.step_tolerance_rad:
             break
     return rotation_from_matrix(R)
 
 
 def difference(reference: Thumbnail, current: Thumbnail, R_current_reference: Rotation) -> float:
     """Return by how much two Thumbnails differ in the mean, in standard deviations of either."""
-    rows, weights = _rows_used()
-    grid = bearing_grid(WIDTH)[rows].reshape(-1, 3).T
+    rows, weights = _rows_used(reference.options)
+    grid = bearing_grid(reference.options.width)[rows].reshape(-1, 3).T
     seen = current.read(R_current_reference.as_matrix().astype(np.float32) @ grid)
     return np.average(np.abs(seen - reference.image[rows].ravel()), weights=weights)
 
@@ -100,7 +119,7 @@ def likely_turns(keyframes: Sequence[Showing],
     """Return pairs of a keyframe and R_camera_key of a Thumbnail's camera, likeliest first."""
     turns = []
     for keyframe in keyframes:
-        for yaw_rad in YAW_STARTS_RAD:
+        for yaw_rad in thumbnail.options.yaw_starts_rad:
             R = align_thumbnails(
                 keyframe.thumbnail, thumbnail, Rotation.from_rotvec((0, yaw_rad, 0)))
             turns.append((difference(keyframe.thumbnail, thumbnail, R), keyframe, R))
@@ -108,11 +127,12 @@ def likely_turns(keyframes: Sequence[Showing],
 
 
 @lru_cache(maxsize=1)
-def _rows_used() -> tuple[Choice, Values]:
+def _rows_used(options: ThumbnailOptions) -> tuple[Choice, Values]:
     """Return the rows used and the weights (N,) of their pixels."""
-    lat = np.pi / 2 - (np.arange(WIDTH // 2) + 0.5) * 2 * np.pi / WIDTH
-    rows = np.abs(lat) < MAX_LATITUDE_RAD
-    return rows, np.repeat(row_solid_angles(WIDTH)[rows], WIDTH).astype(np.float32)
+    width = options.width
+    lat = np.pi / 2 - (np.arange(width // 2) + 0.5) * 2 * np.pi / width
+    rows = np.abs(lat) < options.max_latitude_rad
+    return rows, np.repeat(row_solid_angles(width)[rows], width).astype(np.float32)
 
 
 def rotation_gradient(padded: Plane, margin_px: int) -> Plane:

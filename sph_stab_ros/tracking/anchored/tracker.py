@@ -12,9 +12,13 @@ The anchored tracker: landmarks of which each keeps the look it had when it was 
 What is compared with its first look instead of with the last frame does not drift. Each frame is
 located among the landmarks; now and then one becomes a keyframe, and the last keyframes' poses and
 the landmarks' depths are adjusted together. Inactive ones are looked for again when near.
+
+Its ancestors: keyframes from G. Klein and D. Murray, *Parallel tracking and mapping for small AR
+workspaces*, International Symposium on Mixed and Augmented Reality, 2007; patches that are aligned
+with their first look from C. Forster, M. Pizzoli and D. Scaramuzza, *SVO: fast semi-direct
+monocular visual odometry*, International Conference on Robotics and Automation, 2014.
 """
 
-import cv2
 import numpy as np
 
 from sph_stab_ros.geometry.arrays import Covariance, Grey, Mask, Vector
@@ -22,32 +26,16 @@ from sph_stab_ros.geometry.rotations import rotate_covariance, rotation_from_mat
 from sph_stab_ros.images.texture import has_texture
 from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
 from sph_stab_ros.tracking.anchored.correction import SmoothCorrection
-from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MAX_LANDMARKS
+from sph_stab_ros.tracking.anchored.frame_localizer import FrameLocalizer
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.landmarks import Observations
-from sph_stab_ros.tracking.anchored.localization import (
-    DOUBTFUL, Localization, localize, MIN_MATURE, MIN_POINTS, returning)
-from sph_stab_ros.tracking.anchored.map_initialization import MapInitializer
+from sph_stab_ros.tracking.anchored.localization import Localization, returning
+from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.prepared_frame import PreparedFrame
-from sph_stab_ros.tracking.anchored.relocalization import Relocalizer, SIGMA_RAD
-from sph_stab_ros.tracking.anchored.thumbnail import align_thumbnails, likely_turns, Thumbnail
-from sph_stab_ros.tracking.anchored.wide_baseline import locate_widely
+from sph_stab_ros.tracking.anchored.relocalization import Relocalizer
 from sph_stab_ros.tracking.base import (
     GyroRotation, no_gyro, status_of, TrackedOrientation, TrackingStatus)
 from sph_stab_ros.tracking.motion_model import MotionModel
-
-# A new keyframe is made where fewer of the landmarks than these are seen, or where they have moved
-# further since the last one, in the median.
-MIN_SURVIVORS = 0.4
-MAX_PARALLAX_RAD = 0.04
-# How far the camera moves against a prediction, in the unit of the map, per second.
-POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA = 0.6, 0.02
-# After a longer time patches are searched coarsely first.
-MAX_FINE_S = 0.05
-# After a loss so many of the last keyframes are tried, from the likeliest headings.
-MAX_CANDIDATES, MAX_ATTEMPTS = 6, 3
-# How a camera that was lost is turned nobody knows.
-LOST_RAD = 1.
-SCALE_RATE = 0.1  # at which the usual scale of residuals follows that of each frame
 
 
 class AnchoredTracker:
@@ -56,31 +44,32 @@ class AnchoredTracker:
 
     Parameters
     ----------
-    width : int
-        Of the grey spheres.
     used : (H, W) bool, optional
         Pixels to use.
     max_prediction_s : float
         For how long the last angular velocity is trusted.
     gyro_rotation : callable
         Returns the turn ``R_from_to`` between two stamps, or None.
+    options : AnchoredOptions
 
     """
 
-    def __init__(self, width: int, used: Mask | None = None, max_prediction_s: float = 0.5,
-                 gyro_rotation: GyroRotation = no_gyro) -> None:
-        self._used = used
+    def __init__(self, used: Mask | None = None, max_prediction_s: float = 0.5,
+                 gyro_rotation: GyroRotation = no_gyro,
+                 options: AnchoredOptions = AnchoredOptions()) -> None:
+        self._options, self._used = options, used
         self._max_prediction_s, self._turn_between = max_prediction_s, gyro_rotation
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next frame's orientation is the new world."""
-        self._map = LandmarkMap()
-        self._visible = VisibleWorld(self._used)
-        self._thumbnail: Thumbnail | None = None
-        self._motion = MotionModel(self._max_prediction_s, self._turn_between)
+        options = self._options
+        self._map = LandmarkMap(options.landmark_map)
+        self._visible = VisibleWorld(self._used, options.body_mask)
+        self._motion = MotionModel(self._max_prediction_s, self._turn_between, options.motion)
         self._covariance: Covariance = np.zeros((3, 3))
-        self._correction = SmoothCorrection()
+        self._correction = SmoothCorrection(options.correction)
+        self._localization: Localization | None = None
         self._keyframe_to_add: tuple[PreparedFrame, Localization] | None = None
         self._relocalizer: Relocalizer | None = None
 
@@ -95,6 +84,20 @@ class AnchoredTracker:
         return self._map.lenses.apart, self._map.lenses.apart_covariance
 
     @property
+    def landmark_map(self) -> LandmarkMap:
+        """Return what is known of the surroundings, to be looked at."""
+        return self._map
+
+    @property
+    def localization(self) -> Localization | None:
+        """
+        Return how the last frame was localized, None if it was not.
+
+        Its rows are those of ``landmark_map`` until the next settle.
+        """
+        return self._localization
+
+    @property
     def keyframes_kept(self) -> int:
         """Return the number of keyframes in the map."""
         return len(self._map.keyframes)
@@ -102,26 +105,26 @@ class AnchoredTracker:
     @property
     def landmarks_kept(self) -> int:
         """Return the number of landmarks in the map."""
-        return 0 if self._map.landmarks is None else len(self._map.landmarks)
+        return len(self._map.landmarks)
 
     def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
         """Return the TrackedOrientation of the next grey sphere (H, W) uint8."""
         self.settle()
-        frame = PreparedFrame(grey)
+        self._localization = None
+        frame = PreparedFrame(grey, self._options.landmark_map.patches, self._options.thumbnails)
         if not has_texture(frame.small):
             return self._predicted(stamp_ns)
         if not self._map.keyframes:
             self._start_map(frame, stamp_ns)
         else:
-            localization = None if self._map.landmarks is None else (
-                self._locate(frame, stamp_ns) or self._relocalize_nearby(frame, stamp_ns)
-                or self._locate_widely(frame))
+            localization = self._localizer.localize(frame, stamp_ns)
             if localization is None:
                 held = self._predicted(stamp_ns)
                 if held.status is TrackingStatus.LOST:
                     self._motion.R_world_camera = held.R_world_camera
                     self._start_anew(frame)
                 return held
+            self._localization = localization
             self._accept(frame, stamp_ns, localization)
             self._judge_landmarks(localization)
             if self._is_keyframe(localization):
@@ -147,21 +150,18 @@ class AnchoredTracker:
         # Lost again before that, it is still the old one that counts.
         keyframes = (self._relocalizer or self._map).keyframes
         self._relocalizer = Relocalizer(
-            keyframes, frame.grey, self._motion.R_world_camera, self._used_pixels(frame))
-        self._covariance = LOST_RAD ** 2 * np.eye(3)
+            keyframes, frame.grey, self._motion.R_world_camera,
+            self._visible.pixels_of(frame.grey), self._options.relocalization)
+        self._covariance = self._options.relocalization.lost_rad ** 2 * np.eye(3)
         self._start_map(frame, None)
-
-    def _used_pixels(self, frame: PreparedFrame) -> Mask:
-        """Return which pixels of the grey sphere show the world, (H, W) bool."""
-        return cv2.resize(self._visible.pixels().astype(np.uint8), frame.grey.shape[::-1],
-                          interpolation=cv2.INTER_NEAREST) > 0
 
     def _relocalize_globally(self) -> None:
         """Go on looking for the old world, and turn the new one into it once it is found."""
         assert self._relocalizer is not None
         R_old_new = self._relocalizer.step()
         if R_old_new is not None:
-            known_better = SIGMA_RAD ** 2 - LOST_RAD ** 2
+            options = self._options.relocalization
+            known_better = options.sigma_rad ** 2 - options.lost_rad ** 2
             self._map.turn(R_old_new, known_better)
             self._motion.rotate_world(R_old_new)
             self._covariance = (rotate_covariance(self._covariance, R_old_new)
@@ -171,115 +171,68 @@ class AnchoredTracker:
 
     def _start_map(self, frame: PreparedFrame, stamp_ns: int | None) -> None:
         """Start anew from here, in the orientation reached."""
-        self._map = LandmarkMap()
+        options = self._options
+        self._map = LandmarkMap(options.landmark_map)
         self._motion.reset(stamp_ns)
         self._correction.reset()
         self._visible.update(frame.small, None)
-        self._thumbnail = frame.thumbnail
         self._map.add_keyframe(
             self._motion.R_world_camera, self._motion.position, self._covariance, frame.grey,
-            frame.thumbnail, Observations(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3))))
+            frame.thumbnail, Observations.none())
         self._map.add_landmarks(frame.grey, frame.pyramid, self._visible.pixels())
-        self._landmarks_at_keyframe, self._scale = MAX_LANDMARKS, 1.
-        self._initializer = None if self._map.landmarks is None else MapInitializer(
-            self._map, POSITION_SIGMA_PER_S, MIN_POSITION_SIGMA)
-
-    def _locate(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
-        """Return the Localization near where the camera is expected, None without."""
-        assert self._map.landmarks is not None and self._thumbnail is not None
-        motion = self._motion
-        R_camera_last = align_thumbnails(
-            self._thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
-        if self._initializer is not None:
-            return self._initializer.localize(
-                frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
-        elapsed_s = motion.trusted_s(stamp_ns)
-        return localize(
-            self._map, np.flatnonzero(self._map.landmarks.active), frame.pyramid,
-            motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
-            max(POSITION_SIGMA_PER_S * elapsed_s, MIN_POSITION_SIGMA), self._scale,
-            self._visible.shows, coarsely=elapsed_s > MAX_FINE_S)
-
-    def _locate_widely(self, frame: PreparedFrame) -> Localization | None:
-        """Return the Localization somewhere near the last keyframe, None without."""
-        return locate_widely(
-            self._map, frame.grey, frame.pyramid, self._used_pixels(frame), POSITION_SIGMA_PER_S,
-            self._visible.shows, DOUBTFUL * self._scale)
-
-    def _relocalize_nearby(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
-        """Return the Localization near one of the last keyframes, whatever the camera has done."""
-        landmarks = self._map.landmarks
-        assert landmarks is not None
-        for keyframe, R_camera_key in likely_turns(
-                self._map.keyframes[-MAX_CANDIDATES:], frame.thumbnail)[:MAX_ATTEMPTS]:
-            if self._initializer is not None:
-                R_camera_last = (R_camera_key * rotation_from_matrix(keyframe.R).inv()
-                                 * self._motion.R_world_camera)
-                localization = self._initializer.localize(
-                    frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
-                if localization is not None:
-                    return localization
-                continue
-            rows = np.flatnonzero((landmarks.host == keyframe.number)
-                                  | np.isin(landmarks.number, keyframe.observations.number))
-            localization = localize(
-                self._map, rows, frame.pyramid,
-                rotation_from_matrix(keyframe.R) * R_camera_key.inv(), keyframe.position,
-                POSITION_SIGMA_PER_S, self._scale, self._visible.shows, coarsely=True)
-            if localization is not None:
-                landmarks.wake(localization.rows)
-                self._correction.reset()
-                return localization
-        return None
+        self._landmarks_at_keyframe = options.landmark_map.max_landmarks
+        self._localizer = FrameLocalizer(
+            self._map, frame.thumbnail, self._visible, self._motion, options)
 
     def _accept(self, frame: PreparedFrame, stamp_ns: int, localization: Localization) -> None:
         """Make this frame the last one that showed something."""
         pose, R_world_camera = localization.pose, localization.R_world_camera
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
         self._visible.update(frame.small, step.inv())
-        self._thumbnail = frame.thumbnail
-        self._scale += SCALE_RATE * (localization.pose.scale - self._scale)
+        self._localizer.accept(frame, localization)
         R_world_first = rotation_from_matrix(self._map.keyframes[0].R)
         self._covariance = (self._map.keyframes[-1].covariance
                             + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
                             + self._map.lenses.covariance(R_world_first.inv() * R_world_camera))
-        if self._initializer is not None and self._initializer.R_world_continued is not None:
+        R_world_continued = self._localizer.R_world_continued
+        if R_world_continued is not None:
             # When another pose counts than did before, the picture follows smoothly.
-            self._correction.hide(self._initializer.R_world_continued, R_world_camera)
+            self._correction.hide(R_world_continued, R_world_camera)
+        if localization.was_lost:
+            self._correction.reset()
         self._correction.step()
 
     def _judge_landmarks(self, localization: Localization) -> None:
         """Note which landmarks agree; deactivate those that are not seen or do not."""
-        landmarks = self._map.landmarks
-        assert landmarks is not None
         # At the start nobody is judged for good.
-        judge = landmarks.judge if self._initializer is None else landmarks.judge_for_now
-        judge(localization.rows, localization.agreeing, localization.pose.inverse_depths)
+        self._map.judge(localization.rows, localization.agreeing,
+                        localization.pose.inverse_depths, for_good=not self._localizer.is_starting)
 
     def _is_keyframe(self, localization: Localization) -> bool:
-        assert self._map.landmarks is not None
+        options = self._options.keyframes
         seen = localization.rows[localization.agreeing]
         last, some = self._map.keyframes[-1], seen[::4]
         parallax_rad = np.median(np.linalg.norm(
             self._map.directions(some, self._motion.position)
             - self._map.directions(some, last.position), axis=1))
-        if parallax_rad > MAX_PARALLAX_RAD:
+        if parallax_rad > options.max_parallax_rad:
             return True
-        if self._initializer is not None:
-            return len(localization.rows) < MIN_SURVIVORS * len(self._map.landmarks)
+        if self._localizer.is_starting:
+            return len(localization.rows) < options.min_survivors * len(self._map.landmarks)
         # In the beginning those that move by themselves must have time to tell.
-        mature = self._map.landmarks.is_mature(seen).sum()
-        return len(seen) < (MIN_SURVIVORS * self._landmarks_at_keyframe
-                            if mature >= MIN_MATURE else 2 * MIN_POINTS)
+        needed = self._options.localization
+        mature = self._map.is_mature(seen).sum()
+        return len(seen) < (options.min_survivors * self._landmarks_at_keyframe
+                            if mature >= needed.min_mature else 2 * needed.min_points)
 
     def _add_keyframe(self, frame: PreparedFrame, localization: Localization) -> None:
         """Make this frame a keyframe, adjust the last ones, look for new landmarks."""
-        assert self._map.landmarks is not None
-        self._initializer = None
+        self._localizer.end_start()
         motion, before = self._motion, self._motion.R_world_camera
         observations = Observations.joined((
             localization.observations(self._map.landmarks, localization.agreeing),
-            returning(self._map, frame.pyramid, before, motion.position, self._visible.shows)))
+            returning(self._map, frame.pyramid, before, motion.position, self._visible.shows,
+                      self._options.localization)))
         self._map.add_keyframe(before, motion.position, self._covariance, frame.grey,
                                frame.thumbnail, observations[np.argsort(observations.number)])
         self._map.adjust()

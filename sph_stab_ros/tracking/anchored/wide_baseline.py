@@ -8,16 +8,15 @@
 
 """Where a camera is after a large step: by features, for which nothing need be expected."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
-from sph_stab_ros.tracking.anchored.landmark_map import FIRST_INFORMATION, LandmarkMap
-from sph_stab_ros.tracking.anchored.landmarks import inlier_mask
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.localization import (
-    Localization, look_along, MIN_AGREEMENT, MIN_POINTS, Usable)
+    Localization, LocalizationOptions, look_along, Usable)
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import fit_depths
 from sph_stab_ros.tracking.anchored.pose_hypotheses import agreement, fit_poses_among_movers
@@ -26,16 +25,23 @@ from sph_stab_ros.tracking.frame_to_frame.estimators.essential import (
     epipolar_distance, fit_essential, INLIER_RAD)
 from sph_stab_ros.tracking.frame_to_frame.features import detect, match
 
-# Landmarks have moved as those of so many nearest features have in the mean.
-NEIGHBOURS = 3
-# Of the landmarks looked for so many are found at the right place, some by chance anywhere.
-MIN_FOUND = 0.2
-# The step that features tell has no length; so many distances of landmarks for a start.
-STEP = 0.2
+
+@dataclass(frozen=True)
+class WideBaselineOptions:
+    """How features lead to landmarks."""
+
+    # Landmarks have moved as those of so many nearest features have in the mean.
+    neighbours: int = 3
+    # Of the landmarks looked for such a share is found at the right place; some are by chance.
+    min_found: float = 0.2
+    # The step that features tell has no length; so many distances of landmarks for a start.
+    step: float = 0.2
 
 
 def locate_widely(landmark_map: LandmarkMap, grey: Grey, pyramid: Pyramid, used: Mask,
-                  position_sigma: float, is_usable: Usable, scale: float) -> Localization | None:
+                  position_sigma: float, is_usable: Usable, scale: float,
+                  options: WideBaselineOptions,
+                  localization: LocalizationOptions) -> Localization | None:
     """
     Return the Localization of a camera not far from the last keyframe, None if it cannot be told.
 
@@ -47,33 +53,35 @@ def locate_widely(landmark_map: LandmarkMap, grey: Grey, pyramid: Pyramid, used:
     if estimate is None:
         return None
     landmarks = landmark_map.landmarks
-    assert landmarks is not None and estimate.t_current is not None
+    assert estimate.t_current is not None
     R_camera_key = turn_with_less_parallax(estimate, pairs)
     E = np.cross(np.eye(3), estimate.t_current) @ R_camera_key.as_matrix()
     pairs = pairs[epipolar_distance(E[None], pairs)[0] < INLIER_RAD]
-    if len(pairs) < MIN_POINTS:
+    if len(pairs) < localization.min_points:
         return None
     rows = np.flatnonzero(landmarks.active | (landmarks.host == keyframe.number)
                           | np.isin(landmarks.number, keyframe.observations.number))
     before = landmark_map.directions(rows, keyframe.position) @ keyframe.R
-    nearest = np.argsort(-before @ pairs.previous.T, axis=1)[:, :NEIGHBOURS]
+    nearest = np.argsort(-before @ pairs.previous.T, axis=1)[:, :options.neighbours]
     moved = pairs.current - R_camera_key.apply(pairs.previous)
     expected = R_camera_key.apply(before) + moved[nearest].mean(axis=1)
     R_world_camera = rotation_from_matrix(keyframe.R) * R_camera_key.inv()
     found, points = look_along(
         R_world_camera.apply(expected / np.linalg.norm(expected, axis=1, keepdims=True)),
-        landmark_map, rows, pyramid, R_world_camera, is_usable)
-    if len(found) < max(MIN_POINTS, MIN_FOUND * len(rows)):
+        landmark_map, rows, pyramid, R_world_camera, is_usable, localization.search)
+    if len(found) < max(localization.min_points, options.min_found * len(rows)):
         return None
     if len(landmark_map.keyframes) == 1:
         points = replace(points, inverse_depths=np.ones(len(found)),
-                         information=np.full(len(found), FIRST_INFORMATION))
-    step = -STEP * R_world_camera.apply(estimate.t_current)
+                         information=np.full(len(found), landmark_map.options.first_information))
+    step = -options.step * R_world_camera.apply(estimate.t_current)
     guesses = [(R_world_camera.inv(), keyframe.position + way * step) for way in (1, 0, 3, -1)]
     poses, costs = fit_poses_among_movers(
-        points, guesses, position_sigma, np.random.default_rng(0), scale)
-    pose = fit_depths(points, poses[np.argmin(costs)])
-    agreeing = inlier_mask(pose.sizes, pose.scale)
-    if agreement(points.y, agreeing) < MIN_AGREEMENT or agreeing.sum() < MIN_POINTS:
+        points, guesses, position_sigma, np.random.default_rng(0), localization.hypotheses,
+        scale)
+    pose = fit_depths(points, poses[np.argmin(costs)], localization.pose)
+    agreeing = localization.pose.loss.inliers(pose.sizes, pose.scale)
+    if agreeing.sum() < localization.min_points or localization.min_agreement > agreement(
+            points.y, agreeing, localization.hypotheses):
         return None
     return Localization(found, points, pose, agreeing)

@@ -6,7 +6,12 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""A-KAZE features on the sphere, matched to pairs of bearings."""
+"""
+A-KAZE features on the sphere, matched to pairs of bearings.
+
+P. F. Alcantarilla, J. Nuevo and A. Bartoli, *Fast explicit diffusion for accelerated features in
+nonlinear scale spaces*, British Machine Vision Conference, 2013.
+"""
 
 from dataclasses import dataclass
 
@@ -23,7 +28,9 @@ PADDING_PX = 40
 # A tenth of OpenCV's: where little can be seen, many weak features hold a fit better than few.
 DETECTOR_THRESHOLD = 1e-4
 MAX_FEATURES = 2000
-# A match must be this much nearer than the second best (Lowe's ratio test).
+# A match must be this much nearer than the second best: the ratio test of D. G. Lowe, *Distinctive
+# image features from scale-invariant keypoints*, International Journal of Computer Vision 60(2),
+# 2004, with the value there.
 MAX_DISTANCE_RATIO = 0.8
 
 

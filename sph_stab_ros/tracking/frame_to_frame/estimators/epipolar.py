@@ -33,16 +33,16 @@ ON_THE_WAY_RAD, END_RAD = 1e-2, 1e-4
 
 
 @dataclass(frozen=True)
-class _State:
+class State:
     """Rotation R and epipole q (3,) of Eq. 8."""
 
     R: Rotation
     q: Vector
 
-    def moved(self, step: Floats) -> '_State':
+    def moved(self, step: Floats) -> 'State':
         """Return the state one step (5,) away: R turned by 3, q moved along its tangents by 2."""
         q = self.q + tangent_basis(self.q) @ step[3:]
-        return _State(Rotation.from_rotvec(step[:3]) * self.R, q / np.linalg.norm(q))
+        return State(Rotation.from_rotvec(step[:3]) * self.R, q / np.linalg.norm(q))
 
 
 def fit_epipolar(pairs: BearingPairs, start: RotationEstimate,
@@ -71,10 +71,10 @@ def fit_epipolar(pairs: BearingPairs, start: RotationEstimate,
     q = max(epipoles, key=lambda q: weights @ np.cos(flow_angles(pairs, R, q)))
     if weights @ np.cos(flow_angles(pairs, R, q)) < MIN_ALIGNMENT:
         return replace(start, status=FitStatus.NO_PARALLAX)
-    end = _State(R, q)
+    end = State(R, q)
     for bound, tolerance in ((np.inf, ON_THE_WAY_RAD), (bound_rad, END_RAD)):
         end = levenberg_marquardt(
-            end, lambda state: _linearise(state, pairs, weights, bound), _State.moved,
+            end, lambda state: linearise(state, pairs, weights, bound), State.moved,
             tolerance)
     normals = np.cross(end.q, end.R.apply(pairs.previous))
     off_plane = np.abs(np.einsum('ni,ni->n', normals, pairs.current)) \
@@ -118,8 +118,8 @@ def _sine_cosine(x: Vectors, x_moved: Vectors, q: Vector) -> tuple[Values, Value
     return s, c
 
 
-def _linearise(
-        state: _State, pairs: BearingPairs, weights: Values, bound_rad: float) -> Linearised:
+def linearise(
+        state: State, pairs: BearingPairs, weights: Values, bound_rad: float) -> Linearised:
     """Linearise √w Ω under R ← exp(ω) R, q ← q + B s: Ω' = (c s' − s c') / (s² + c²)."""
     # Bearings as columns (3, N): a row is a vector of all pairs, which NumPy goes through fastest.
     x, x_moved, q = state.R.as_matrix() @ pairs.previous.T, pairs.current.T, state.q

@@ -6,7 +6,14 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The essential matrix of matched features: eight-point RANSAC, then rotation and epipole."""
+"""
+The essential matrix of matched features: eight-point RANSAC, then rotation and epipole.
+
+H. C. Longuet-Higgins, *A computer algorithm for reconstructing a scene from two projections*,
+Nature 293, 1981; bearings need no normalisation. M. A. Fischler and R. C. Bolles, *Random sample
+consensus*, Communications of the ACM 24(6), 1981. R. Hartley and A. Zisserman, *Multiple View
+Geometry in Computer Vision*, section 9.6, for what an essential matrix consists of.
+"""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

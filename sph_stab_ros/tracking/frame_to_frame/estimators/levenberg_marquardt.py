@@ -9,6 +9,9 @@
 """
 Levenberg–Marquardt on a manifold, on normal equations.
 
+D. W. Marquardt, *An algorithm for least-squares estimation of nonlinear parameters*, Journal of
+the SIAM 11(2), 1963.
+
 SciPy's ``least_squares(method='lm')`` factorises the full Jacobian, (28 800, 5) for a flow field,
 and knows no manifold; on the 5×5 normal equations of the few well-scaled unknowns here, with
 steps in the tangent space, Eq. 8 takes less than half of its time, at the same minimum.

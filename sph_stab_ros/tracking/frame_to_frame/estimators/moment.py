@@ -50,7 +50,7 @@ def fit_moment(pairs: BearingPairs, start: Rotation | None = None) -> RotationEs
     weights = pairs.weights / pairs.weights.sum()
     for smoothing_rad in SMOOTHING_RAD:
         R = levenberg_marquardt(
-            R, lambda R: _linearise(R, pairs, weights, smoothing_rad), _retract)
+            R, lambda R: linearise(R, pairs, weights, smoothing_rad), retract)
     flow_rad = np.linalg.norm(pairs.current - R.apply(pairs.previous), axis=1)
     return RotationEstimate(R, weighted_median(flow_rad, weights), len(pairs))
 
@@ -64,12 +64,12 @@ def directional_moment(pairs: BearingPairs, R_current_previous: Rotation,
     return (pairs.weights / pairs.weights.sum() / length) @ np.cross(x_r, flow)
 
 
-def _retract(R: Rotation, omega: Vector) -> Rotation:
+def retract(R: Rotation, omega: Vector) -> Rotation:
     return Rotation.from_rotvec(omega) * R
 
 
-def _linearise(R: Rotation, pairs: BearingPairs, weights: Values,
-               smoothing_rad: float) -> Linearised:
+def linearise(R: Rotation, pairs: BearingPairs, weights: Values,
+              smoothing_rad: float) -> Linearised:
     """
     Linearise M under R ← exp(ω) R.
 

@@ -6,40 +6,44 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The way from the executor's thread to the worker's: only the newest message counts."""
+"""The way from the executor's thread to a worker's: the newest messages count."""
 
+from collections import deque
 from threading import Condition
 from typing import Generic, TypeVar
 
 Item = TypeVar('Item')
 
 
-class OneSlotMailbox(Generic[Item]):
+class Mailbox(Generic[Item]):
     """
-    Holds one item for another thread; a newer one takes the place of one not yet fetched.
+    Holds the newest item for another thread, or as many as ``size`` in their order.
 
-    ``dropped`` counts those that were replaced.
+    Where it is full all that have not been fetched give way to the next one; ``dropped`` counts
+    them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, size: int = 1) -> None:
         self.dropped = 0
+        self._size = size
         self._condition = Condition()
-        self._item: Item | None = None
+        self._items: deque[Item] = deque()
         self._closed = False
 
     def put(self, item: Item) -> None:
-        """Leave an item, not None, for the other thread."""
+        """Leave an item for the other thread."""
         with self._condition:
-            self.dropped += self._item is not None
-            self._item = item
+            if len(self._items) == self._size:
+                self.dropped += self._size
+                self._items.clear()
+            self._items.append(item)
             self._condition.notify()
 
     def get(self) -> Item | None:
         """Wait for an item and return it; None once the mailbox is closed."""
         with self._condition:
-            self._condition.wait_for(lambda: self._item is not None or self._closed)
-            item, self._item = self._item, None
-            return None if self._closed else item
+            self._condition.wait_for(lambda: self._items or self._closed)
+            return None if self._closed else self._items.popleft()
 
     def close(self) -> None:
         """Let the other thread go, whether there is an item or not."""

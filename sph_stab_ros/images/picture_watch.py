@@ -1,0 +1,94 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""Looks at pictures now and then, and says which option would read them right."""
+
+from typing import Any
+
+from sph_stab_ros.config import DUAL_FISHEYE, EQUIRECT
+from sph_stab_ros.images.frame import Frame, frame_from_message
+from sph_stab_ros.images.image_error import ImageError
+from sph_stab_ros.images.layout import is_about, Layout, reduced, Seen, seen_in, SIDE_PX
+
+# Which pictures are looked at: the first ones, and of the others one of so many.
+FIRST, SELDOM = 3, 100
+# How many looks in a row must say the same.
+AGREEING = 3
+# Circles are not found more exactly.
+MAX_SQUEEZED = 0.05
+BY_CALIBRATION = "-p projection:=dual_fisheye reads them, by the lenses' calibration in fisheye.*"
+ADVICE = {
+    Layout.FISHEYE: 'convert them to equirectangular ones',
+    Layout.STEREO: 'crop one of the two out of them',
+    Layout.HALF_SPHERE: 'pad them to 2:1 with black on both sides',
+    Layout.SQUEEZED: 'scale them to {scaled}',
+    Layout.BORDERS: 'crop the borders away',
+}
+
+
+class PictureWatch:
+    """
+    Tells what pictures seem to be where that is not what their projection says.
+
+    ``hint`` is the line about it, '' as long as there is none.
+
+    Parameters
+    ----------
+    projection : str
+        What they are taken for, of ``config.PROJECTIONS``; may be set to another one.
+
+    """
+
+    def __init__(self, projection: str = EQUIRECT) -> None:
+        self.projection = projection
+        self.hint = ''
+        self._number = -1
+        self._last, self._looks = '', 0
+        self._said: set[str] = set()
+
+    def look(self, picture: Frame | Any) -> str:
+        """
+        Return the hint if it is new, '' else.
+
+        Of a Frame, or of an Image or CompressedImage message. Those that cannot be decoded are the
+        business of others.
+        """
+        self._number += 1
+        if self._number >= FIRST and self._number % SELDOM:
+            return ''
+        try:
+            frame = picture if isinstance(picture, Frame) else frame_from_message(picture, 0)
+            seen = seen_in(reduced(frame.grey(SIDE_PX)))
+        except ImageError:
+            return ''
+        hint = hint_of(seen, frame.size_wh, self.projection) if seen else ''
+        self._looks = self._looks + 1 if hint == self._last else 1
+        self._last = hint
+        if self._looks >= AGREEING:
+            self.hint = hint
+            if hint not in self._said:
+                self._said.add(hint)
+                return hint
+        return ''
+
+
+def hint_of(seen: Seen, size_wh: tuple[int, int], projection: str) -> str:
+    """Return which option reads pictures (width, height), or what makes spheres of them."""
+    width, height = size_wh
+    what = f'the pictures look like {seen.layout.value}'
+    right_height = height * seen.squeezed
+    # Circles are not found to the pixel.
+    scaled = f'{width}x{width // 2 if is_about(width / right_height, 2) else round(right_height)}'
+    if seen.layout is not Layout.TWO_FISHEYES:
+        # Of two lenses the calibration says more than can be seen.
+        return '' if projection == DUAL_FISHEYE else (
+            f'{what}, which no option reads: {ADVICE[seen.layout].format(scaled=scaled)} first')
+    if abs(seen.squeezed - 1) > MAX_SQUEEZED:
+        return (f'{what}, squeezed: scale them to {scaled}' +
+                ('' if projection == DUAL_FISHEYE else f', then {BY_CALIBRATION}'))
+    return '' if projection == DUAL_FISHEYE else f'{what}: {BY_CALIBRATION}'
