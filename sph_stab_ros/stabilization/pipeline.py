@@ -16,7 +16,7 @@ from enum import Enum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
+from sph_stab_ros.config import EQUIRECT, IMU, StabilizerConfig, ViewConfig
 from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.layout import Layout
@@ -240,7 +240,9 @@ class Stabilizer:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
-        part = (layout or self._projection).seen(self._working_width)
+        # A layout is one of equirectangular pictures.
+        shown = layout if self.config.projection == EQUIRECT else None
+        part = (shown or self._projection).seen(self._working_width)
         seen = () if part is None else (part,)
         tracker = self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._gyro_rotation, *seen)
