@@ -240,9 +240,8 @@ class Stabilizer:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
-        # A layout is one of equirectangular pictures.
-        shown = layout if self.config.projection == EQUIRECT else None
-        part = (shown or self._projection).seen(self._working_width)
+        of_layout = layout if self.config.projection == EQUIRECT else None
+        part = (of_layout or self._projection).seen(self._working_width)
         seen = () if part is None else (part,)
         tracker = self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._gyro_rotation, *seen)
