@@ -64,8 +64,8 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sph_stab_ros.config import (
-        ConfigError, FisheyeConfig, ImuConfig, LensConfig, SmoothingConfig, StabilizerConfig,
-        TrackerConfig, ViewConfig)
+        ConfigError, CropConfig, CubemapConfig, FisheyeConfig, ImuConfig, LensConfig,
+        SmoothingConfig, StabilizerConfig, TrackerConfig, ViewConfig)
     from sph_stab_ros.geometry.equirect import bearings_from_pixels, pixels_from_bearings
     from sph_stab_ros.geometry.masks import load_mask, MaskError
     from sph_stab_ros.geometry.projection_factory import ProjectionError
@@ -86,11 +86,11 @@ if TYPE_CHECKING:
 __version__ = '0.1.0'
 
 __all__ = [
-    'BearingPairs', 'ConfigError', 'FisheyeConfig', 'Frame', 'FrameToFrameTracker', 'ImagePair',
-    'ImuConfig', 'ImuSample', 'LensConfig', 'MaskError', 'ProjectionError', 'Recording',
-    'RecordingError', 'RotationEstimate', 'SmoothingConfig', 'StabilizationEvent',
-    'StabilizedFrame', 'Stabilizer', 'StabilizerConfig', 'Summary', 'TrackedOrientation',
-    'Tracker', 'TrackerConfig', 'TrackingStatus', 'Trajectory', 'ViewConfig',
+    'BearingPairs', 'ConfigError', 'CropConfig', 'CubemapConfig', 'FisheyeConfig', 'Frame',
+    'FrameToFrameTracker', 'ImagePair', 'ImuConfig', 'ImuSample', 'LensConfig', 'MaskError',
+    'ProjectionError', 'Recording', 'RecordingError', 'RotationEstimate', 'SmoothingConfig',
+    'StabilizationEvent', 'StabilizedFrame', 'Stabilizer', 'StabilizerConfig', 'Summary',
+    'TrackedOrientation', 'Tracker', 'TrackerConfig', 'TrackingStatus', 'Trajectory', 'ViewConfig',
     'bearings_from_pixels', 'equirect_warp', 'load_mask', 'make_tracker', 'open_recording',
     'perspective_view', 'perspective_warp', 'pixels_from_bearings', 'read_tum', 'rotate_equirect',
     'stabilize_recording', 'tum_line', 'view_rotation']
@@ -98,8 +98,8 @@ __all__ = [
 # Where each name is defined. Modules are named by strings, which no import contract counts.
 _NAMES_BY_MODULE = {
     'config': (
-        'ConfigError', 'FisheyeConfig', 'ImuConfig', 'LensConfig', 'SmoothingConfig',
-        'StabilizerConfig', 'TrackerConfig', 'ViewConfig'),
+        'ConfigError', 'CropConfig', 'CubemapConfig', 'FisheyeConfig', 'ImuConfig', 'LensConfig',
+        'SmoothingConfig', 'StabilizerConfig', 'TrackerConfig', 'ViewConfig'),
     'geometry.equirect': ('bearings_from_pixels', 'pixels_from_bearings'),
     'geometry.masks': ('MaskError', 'load_mask'),
     'geometry.projection_factory': ('ProjectionError',),

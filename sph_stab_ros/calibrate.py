@@ -32,6 +32,7 @@ from sph_stab_ros.command_line.parameters import (
 from sph_stab_ros.config import FisheyeConfig, Settings
 from sph_stab_ros.geometry.arrays import Grey
 from sph_stab_ros.geometry.fisheye import fits
+from sph_stab_ros.geometry.lens_file import with_lens_file
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import decoded_frames, Recording, RecordingError
@@ -99,7 +100,7 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args, settings = arguments(argv)
-    start = settings.config.fisheye
+    start = with_lens_file(settings.config.fisheye, (0, 0))
 
     def command() -> None:
         recording = open_given(args)

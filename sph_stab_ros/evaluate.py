@@ -129,6 +129,9 @@ def by_injection(args: Namespace, spheres: Stitched, configs: Configs, frames: i
     if frames is None or frames < 2:
         raise EvaluationError('--inject needs two frames or more'
                               if frames else 'unknown length, add --max-frames N')
+    if not spheres.shows_all():
+        # The edge of what is seen would turn with the world, and be tracked.
+        raise EvaluationError('--inject needs pictures of the whole sphere')
     mask = next(iter(configs.values())).tracker.mask
     # What they are is the Stitched frames' own.
     configs = {name: replace(config, projection=EQUIRECT, layout=AUTO)

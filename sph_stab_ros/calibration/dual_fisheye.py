@@ -28,7 +28,8 @@ from scipy.optimize import least_squares
 
 from sph_stab_ros.config import FisheyeConfig
 from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Pixels, Values
-from sph_stab_ros.geometry.fisheye import dual_fisheye, DualFisheye, Lens, lens_of
+from sph_stab_ros.geometry.fisheye import dual_fisheye, DualFisheye
+from sph_stab_ros.geometry.lens import Lens, lens_of
 
 # One standard deviation of what is fitted: lengths in radii, angles in degrees.
 LENS_PRIORS = {'center_u_px': 0.015, 'center_v_px': 0.015, 'radius_px': 0.015, 'k1': 0.004}

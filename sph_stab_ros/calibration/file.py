@@ -15,8 +15,9 @@ The calibration of two fisheye lenses as a file of the node's parameters.
 from pathlib import Path
 from typing import Any
 
-from sph_stab_ros.config import ConfigError, DUAL_FISHEYE, FisheyeConfig, options
-from sph_stab_ros.config.parameter_file import read_parameter_files
+from sph_stab_ros.config import ConfigError, DUAL_FISHEYE, FISHEYE, FisheyeConfig, options
+from sph_stab_ros.config.parameter_file import read_parameter_files, yaml_value
+from sph_stab_ros.geometry.lens_file import is_lens_file, lens_count
 
 THETA_S = """\
 # Copyright 2026 The sph_stab_ros developers
@@ -42,7 +43,8 @@ def calibration_text(config: FisheyeConfig, about: str) -> str:
             if open_groups[depth:depth + 1] != [group]:
                 open_groups[depth:] = [group]
                 lines.append(f'    {"  " * depth}{group}:')
-        lines.append(f'    {"  " * len(groups)}{key}: {round(one.default, DECIMALS)!r}')
+        value = round(one.default, DECIMALS) if isinstance(one.default, float) else one.default
+        lines.append(f'    {"  " * len(groups)}{key}: {yaml_value(value)}')
     return '\n'.join(lines) + '\n'
 
 
@@ -50,8 +52,13 @@ def read_calibration(path: Path) -> dict[str, tuple[str, Any]]:
     """
     Return those parameters of a file that say what its lenses are, as read_parameter_files does.
 
-    Others in it are left out. Raises ConfigError where there are none.
+    Others in it are left out; a file of ROS or Kalibr is one to be read when it is used. Raises
+    ConfigError where there are none.
     """
+    if is_lens_file(path):
+        source = f"'{path}'"
+        projection = FISHEYE if lens_count(str(path)) == 1 else DUAL_FISHEYE
+        return {'projection': (source, projection), GROUP + 'file': (source, str(path))}
     found = {name: given for name, given in read_parameter_files([path]).items()
              if name.startswith(GROUP)}
     if not found:

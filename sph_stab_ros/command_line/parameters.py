@@ -24,6 +24,7 @@ from sph_stab_ros.config import (
 from sph_stab_ros.config.parameter_file import read_parameter_files
 from sph_stab_ros.config.ros_yaml import parse_yaml
 from sph_stab_ros.geometry.masks import MaskError
+from sph_stab_ros.geometry.projection_factory import check_projection
 from sph_stab_ros.tracking import check_mask
 
 TRACKER_OPTIONS = tuple(option.name for option in options(TrackerConfig))
@@ -95,8 +96,9 @@ def add_calibration(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         '--calibration', metavar='FILE.yaml', action=SetParameters,
         read=lambda text, _: read_calibration(Path(text)),
-        help='take the parameters fisheye.* from a file that calibrate wrote; the pictures are '
-        'then dual_fisheye (default: a Theta S)')
+        help='take the parameters fisheye.* from a file that calibrate wrote, or the lenses from '
+        'one of ROS (camera_info) or Kalibr (camchain); the pictures are then dual_fisheye, or '
+        'fisheye where it has one lens (default: a Theta S)')
 
 
 def given_parameters(parser: argparse.ArgumentParser, args: argparse.Namespace) -> Parameters:
@@ -113,6 +115,7 @@ def settings_from(parser: argparse.ArgumentParser, parameters: Parameters) -> Se
     """Return the Settings that Parameters give; exit 2 where one is not allowed."""
     try:
         settings = settings_of(parameters)
+        check_projection(settings.config)
     except ConfigError as error:
         parser.error(str(error))
     refuse_bad_mask(parser, parameters, settings.config.tracker)

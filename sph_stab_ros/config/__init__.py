@@ -10,19 +10,24 @@
 
 from sph_stab_ros.config.options import (
     ConfigError, get_option, Option, options, with_option)
+from sph_stab_ros.config.projection import (
+    CropConfig, CROPPED_EQUIRECT, CUBEMAP, CubemapConfig, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP,
+    EQUIDISTANT, EQUIRECT, EQUISOLID, FISHEYE, FisheyeConfig, LENS_MODELS, LensConfig, MIN_WIDTH,
+    PROJECTIONS, STRETCHED_EQUIRECT)
 from sph_stab_ros.config.schema import (
-    ANCHORED, AUTO, DUAL_FISHEYE, EQUIRECT, FIRST_FRAME, FisheyeConfig, FLOWS, FOLLOW,
-    HALF_SPHERE, IMAGE_TRANSPORTS, IMU, ImuConfig, LEFT_RIGHT, LensConfig, LEVELS, LOCK,
-    METHODS, MIN_WIDTH, MODES, MONO, NODE_PARAMETERS, NodeConfig, PICTURE_LAYOUTS, PROJECTIONS,
-    RESERVED, SmoothingConfig, StabilizerConfig, TOP_BOTTOM, TrackerConfig, VIEW, VIEW_NAME,
-    view_parameters, ViewConfig, VR180, YAW_FOLLOW)
+    ANCHORED, AUTO, FIRST_FRAME, FLOWS, FOLLOW, HALF_SPHERE, IMAGE_TRANSPORTS, IMU, ImuConfig,
+    LEFT_RIGHT, LEVELS, LOCK, METHODS, MODES, MONO, NODE_PARAMETERS, NodeConfig,
+    PICTURE_LAYOUTS, RESERVED, SmoothingConfig, StabilizerConfig, TOP_BOTTOM, TrackerConfig,
+    VIEW, VIEW_NAME, view_parameters, ViewConfig, VR180, YAW_FOLLOW)
 from sph_stab_ros.config.settings import frame_in_tf, Settings, settings_of
 
 __all__ = [
-    'ANCHORED', 'AUTO', 'ConfigError', 'DUAL_FISHEYE', 'EQUIRECT', 'FIRST_FRAME',
-    'FisheyeConfig', 'FLOWS', 'FOLLOW', 'frame_in_tf', 'get_option', 'HALF_SPHERE',
-    'IMAGE_TRANSPORTS', 'IMU', 'ImuConfig', 'LEFT_RIGHT', 'LensConfig', 'LEVELS', 'LOCK',
-    'METHODS', 'MIN_WIDTH', 'MODES', 'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'Option',
-    'options', 'PICTURE_LAYOUTS', 'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of',
-    'SmoothingConfig', 'StabilizerConfig', 'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME',
+    'ANCHORED', 'AUTO', 'ConfigError', 'CropConfig', 'CROPPED_EQUIRECT', 'CUBEMAP',
+    'CubemapConfig', 'DUAL_FISHEYE', 'EQUI_ANGULAR_CUBEMAP', 'EQUIDISTANT', 'EQUIRECT',
+    'EQUISOLID', 'FIRST_FRAME', 'FISHEYE', 'FisheyeConfig', 'FLOWS', 'FOLLOW', 'frame_in_tf',
+    'get_option', 'HALF_SPHERE', 'IMAGE_TRANSPORTS', 'IMU', 'ImuConfig', 'LEFT_RIGHT',
+    'LENS_MODELS', 'LensConfig', 'LEVELS', 'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'MONO',
+    'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options', 'PICTURE_LAYOUTS', 'PROJECTIONS',
+    'RESERVED', 'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig',
+    'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME',
     'view_parameters', 'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']

@@ -53,10 +53,10 @@ def _entry(key: str, option: Option) -> str:
     """Return the lines of one option: description, allowed values, default."""
     when = '' if option.live else ' (at start only)'
     lines = wrap(f'{option.description}{_allowed(option)}{when}.', width=88)
-    return ''.join(f'# {line}\n' for line in lines) + f'{key}: {_yaml(option.default)}\n'
+    return ''.join(f'# {line}\n' for line in lines) + f'{key}: {yaml_value(option.default)}\n'
 
 
-def _yaml(value: Any) -> str:
+def yaml_value(value: Any) -> str:
     """Return a value as YAML has it."""
     if isinstance(value, bool):
         return str(value).lower()

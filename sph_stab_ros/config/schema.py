@@ -12,6 +12,8 @@ from dataclasses import dataclass, fields
 import re
 
 from sph_stab_ros.config.options import Checked, ConfigError, Option, option, options
+from sph_stab_ros.config.projection import (
+    CropConfig, CubemapConfig, EQUIRECT, FisheyeConfig, MIN_WIDTH, PROJECTIONS)
 
 # The names that options choose from stand here, on the ground; the algorithms read them from here.
 ANCHORED = 'anchored'
@@ -33,9 +35,6 @@ VIEW_NAME = '[A-Za-z]([A-Za-z0-9]|_(?!_))*'
 # Roots of topics and of rclpy's own parameters.
 RESERVED = ('image', 'imu', 'orientation', 'orientation_covariance', 'qos_overrides', 'stabilized',
             'virtual_orientation')
-EQUIRECT = 'equirect'
-DUAL_FISHEYE = 'dual_fisheye'
-PROJECTIONS = (EQUIRECT, DUAL_FISHEYE)
 AUTO = 'auto'
 MONO = 'mono'
 TOP_BOTTOM = 'top_bottom'
@@ -43,8 +42,6 @@ LEFT_RIGHT = 'left_right'
 VR180 = 'vr180'
 HALF_SPHERE = 'half_sphere'
 PICTURE_LAYOUTS = (AUTO, MONO, TOP_BOTTOM, LEFT_RIGHT, VR180, HALF_SPHERE)
-# Narrower spheres show too little.
-MIN_WIDTH = 128
 
 
 @dataclass(frozen=True)
@@ -125,50 +122,6 @@ class ImuConfig(Checked):
 
 
 @dataclass(frozen=True)
-class LensConfig(Checked):
-    """One lens of two: where its circle is in the picture, how it bends, where it looks."""
-
-    center_u_px: float = option(
-        319.5, 'Column of the centre of its circle', minimum=-10000., maximum=10000.)
-    center_v_px: float = option(
-        319.5, 'Row of the centre of its circle', minimum=-10000., maximum=10000.)
-    radius_px: float = option(
-        285., 'Distance from the centre in pixels of what lies 90 degrees off the axis',
-        minimum=16., maximum=10000.)
-    k1: float = option(
-        -0.002, 'Distortion: what lies t radians off the axis is seen at a distance that goes '
-        'with t (1 + k1 t^2 + k2 t^4)', minimum=-0.05, maximum=0.1)
-    k2: float = option(-0.005, 'Distortion, second term', minimum=-0.01, maximum=0.02)
-    yaw_deg: float = option(
-        0., "Where its axis looks in the camera's frame in degrees, positive to the left",
-        minimum=-360., maximum=360.)
-    pitch_deg: float = option(
-        0., 'Where its axis looks in degrees, positive up', minimum=-90., maximum=90.)
-    roll_deg: float = option(
-        90., 'How far it is turned about its axis in degrees, positive clockwise as it looks',
-        minimum=-360., maximum=360.)
-
-
-@dataclass(frozen=True)
-class FisheyeConfig(Checked):
-    """The calibration of a camera that shows two fisheye circles; by default a Theta S."""
-
-    width: int = option(
-        1280, 'Width of the pictures that the pixels below are counted in; those of others are '
-        'scaled', minimum=MIN_WIDTH, maximum=16384)
-    height: int = option(
-        720, 'Height of the pictures that the pixels below are counted in',
-        minimum=64, maximum=16384)
-    fov_deg: float = option(
-        190., 'Field of view of each lens in degrees', minimum=180., maximum=270.)
-    blend_deg: float = option(
-        6., 'Width in degrees of the band in which one lens fades into the other; at most what '
-        'both see', minimum=0., maximum=90.)
-    front: LensConfig = LensConfig()
-    rear: LensConfig = LensConfig(center_u_px=959.5, yaw_deg=180., roll_deg=-90.)
-
-
-@dataclass(frozen=True)
 class StabilizerConfig(Checked):
     """What the stabiliser needs to know."""
 
@@ -180,14 +133,18 @@ class StabilizerConfig(Checked):
         FIRST_FRAME, "What is level: the first image's orientation, or what the IMU on the topic "
         'imu says, whose gyro then predicts turns as well', choices=LEVELS)
     projection: str = option(
-        EQUIRECT, 'What the images are: equirectangular, or the two circles of two fisheye lenses '
-        'as calibrated in fisheye.*', choices=PROJECTIONS)
+        EQUIRECT, 'What the images are: equirectangular; the two circles of two fisheye lenses as '
+        'calibrated in fisheye.*, or one (fisheye); a whole sphere of another aspect than 2:1; '
+        'the part of a sphere in crop.*; six faces of a cube 3x2, 6x1, 1x6 or 4x3 (cubemap), or '
+        'as YouTube has them', choices=PROJECTIONS)
     layout: str = option(
         AUTO, "Where an equirectangular image holds the sphere: as a video's metadata say, else "
         'it is the sphere (auto); one sphere whatever they say (mono); two of them for two eyes, '
         'of which the left one is used (top_bottom, left_right); two front halves (vr180); one '
         '(half_sphere)', choices=PICTURE_LAYOUTS)
     fisheye: FisheyeConfig = FisheyeConfig()
+    crop: CropConfig = CropConfig()
+    cubemap: CubemapConfig = CubemapConfig()
 
 
 @dataclass(frozen=True)

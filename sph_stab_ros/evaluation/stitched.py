@@ -15,12 +15,13 @@ two eyes one is taken; nothing is turned or stabilised here.
 
 from collections import Counter
 from collections.abc import Generator
+from contextlib import suppress
 from dataclasses import replace
 import logging
 
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import StabilizerConfig
+from sph_stab_ros.config import MIN_WIDTH, StabilizerConfig
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionError
 from sph_stab_ros.geometry.warp import equirect_warp
@@ -63,6 +64,13 @@ class Stitched:
     def skipped(self) -> Counter[str]:
         """Count the pictures left out so far, by reason."""
         return Counter(self._recording.skipped) + self._skip_log.counts
+
+    def shows_all(self) -> bool:
+        """Tell whether the first picture that can be used shows the whole sphere."""
+        for frame in self._recording.frames():
+            with suppress(ProjectionError):
+                return projection_of(frame.size_wh, self._config).seen(MIN_WIDTH) is None
+        return True
 
     def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames as spheres, not turned; those of another size are left out."""

@@ -25,6 +25,7 @@ Grey: TypeAlias = NDArray[np.uint8]  # (H, W)
 Bgr: TypeAlias = NDArray[np.uint8]  # (H, W, 3), blue first
 Image: TypeAlias = NDArray[np.uint8]  # Bgr or Grey
 Mask: TypeAlias = NDArray[np.bool_]  # (H, W), mostly of the pixels to use
+Faces: TypeAlias = NDArray[np.uint8]  # (H, W), which of the parts of a picture something is on
 Plane: TypeAlias = Floats  # (H, W)
 Flow: TypeAlias = Floats  # (H, W, 2), how far each pixel moves, in pixels
 Raster: TypeAlias = NDArray[Any]  # (H, W[, C]) of any type

@@ -6,153 +6,155 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Two fisheye circles in one picture, as cameras with two lenses stream them."""
+"""One fisheye circle in a picture, or two, as cameras with two lenses stream them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
+from typing import TypeAlias
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import FisheyeConfig, LensConfig
-from sph_stab_ros.geometry.arrays import Bearings, Floats, Grey, Mask, Plane, Raster
-from sph_stab_ros.geometry.projection import bend, bent_cells, Picture
-from sph_stab_ros.geometry.warp import equirect_warp, view_rotation
+from sph_stab_ros.config import FisheyeConfig
+from sph_stab_ros.geometry.arrays import Bearings, Faces, Mask, Pixels, Plane, Raster
+from sph_stab_ros.geometry.lens import Lens, lens_of
+from sph_stab_ros.geometry.pixel_map import NOWHERE, PixelMap
 
 # Relative difference of width to height up to which a picture is taken for a scaled one.
 ASPECT_TOLERANCE = 0.005
-# Pictures are reduced for a grey sphere so much smaller.
-MIN_REDUCTION = 0.75
 
-Angle = TypeVar('Angle', float, Floats)
+# u, v and the angle off the axis.
+LensPixels: TypeAlias = tuple[Plane, ...]
 
 
 @dataclass(frozen=True)
-class Lens:
-    """
-    An equidistant lens with two terms of distortion, as in OpenCV's fisheye model.
+class Fisheye(PixelMap):
+    """The Projection of a picture with one circle, which shows what is so near to its axis."""
 
-    A bearing at θ from the axis lies ``f θ (1 + k1 θ² + k2 θ⁴)`` from the centre, where f is such
-    that θ = 90° lies at ``radius_px``. The lens' frame is that of a camera: x to the right in the
-    picture, y down, z along the axis.
-    """
-
-    center_px: tuple[float, float]
-    radius_px: float
-    k1: float
-    k2: float
-    R_camera_lens: Rotation
-
-    def pixels(self, xyz: Bearings) -> tuple[Plane, Plane, Plane]:
-        """
-        Return u, v and the angle in radians off the axis, each (h, w), of bearings (h, w, 3).
-
-        Bearings are float32 or float64, of any length, in the camera's frame.
-        """
-        x, y, z = cv2.split(cv2.transform(
-            xyz, self.R_camera_lens.inv().as_matrix().astype(xyz.dtype)))
-        rho = np.hypot(x, y)
-        theta = np.arctan2(rho, z)
-        scale = self.radius_px * self._bent(theta) / self._bent(np.pi / 2)
-        # On the axis x and y are zero.
-        scale /= np.maximum(rho, 1e-9)
-        return x * scale + self.center_px[0], y * scale + self.center_px[1], theta
-
-    def bearings(self, uv: ArrayLike) -> Bearings:
-        """Return where pixels (..., 2) look: unit vectors (..., 3) in the camera's frame."""
-        offsets = np.asarray(uv) - self.center_px
-        radius = np.linalg.norm(offsets, axis=-1)
-        target = radius / self.radius_px * self._bent(np.pi / 2)
-        theta = target.copy()
-        for _ in range(10):
-            slope = 1 + 3 * self.k1 * theta ** 2 + 5 * self.k2 * theta ** 4
-            theta = np.clip(theta - (self._bent(theta) - target) / slope, 0, np.pi)
-        xy = offsets * (np.sin(theta) / np.maximum(radius, 1e-9))[..., None]
-        rays = np.concatenate((xy, np.cos(theta)[..., None]), axis=-1)
-        return rays @ self.R_camera_lens.as_matrix().T
-
-    def scaled(self, scale: float) -> 'Lens':
-        """Return the Lens in the picture scaled by a factor."""
-        u, v = ((one + 0.5) * scale - 0.5 for one in self.center_px)
-        return replace(self, center_px=(u, v), radius_px=self.radius_px * scale)
-
-    def _bent(self, theta: Angle) -> Angle:
-        square = theta * theta
-        return theta * (1 + square * (self.k1 + self.k2 * square))
-
-
-class DualFisheye:
-    """
-    The Projection of a picture with a circle for each half of the sphere and a little more.
-
-    Parameters
-    ----------
-    front, rear : Lens
-        Each bearing is read from the lens whose axis it is nearer to.
-    blend_rad : float
-        Width of the band along the border between the two within which one fades into the other.
-
-    """
-
-    border = cv2.BORDER_REPLICATE
-
-    def __init__(self, front: Lens, rear: Lens, blend_rad: float) -> None:
-        self.lenses = front, rear
-        self.blend_rad = blend_rad
+    size_wh: tuple[int, int]
+    lens: Lens
+    max_angle_rad: float
 
     @property
     def sphere_width(self) -> int:
         """Width of an equirectangular image with as many pixels from zenith to horizon."""
-        return 4 * round(sum(lens.radius_px for lens in self.lenses) / 2)
+        return 4 * round(self.lens.radius_px * min(self.lens.aspect, 1))
+
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
+        """Return u, v of bearings, and which the circle and the picture show."""
+        return _shown(self.lens.pixels(cv2.merge((x, y, z))), self.size_wh, self.max_angle_rad)
+
+    def bearings(self, uv: Pixels) -> tuple[Bearings, Mask]:
+        """Return where pixels look, and which lie in the circle."""
+        return _looks(self.lens, uv, self.max_angle_rad)
+
+    def resized(self, size_wh: tuple[int, int]) -> 'Fisheye':
+        """Return the projection of the picture at another size."""
+        scales = np.divide(size_wh, self.size_wh).tolist()
+        return Fisheye(size_wh, self.lens.scaled(*scales), self.max_angle_rad)
+
+
+@dataclass(frozen=True)
+class DualFisheye(PixelMap):
+    """
+    The Projection of a picture with a circle for each half of the sphere and a little more.
+
+    Each bearing is read from the one of ``lenses``, front and rear, whose axis it is nearer to; in
+    a band ``blend_rad`` wide along the border between the two one fades into the other.
+    """
+
+    size_wh: tuple[int, int]
+    lenses: tuple[Lens, Lens]
+    max_angle_rad: float
+    blend_rad: float
+
+    @property
+    def sphere_width(self) -> int:
+        """Width of an equirectangular image with as many pixels from zenith to horizon."""
+        return 4 * round(sum(lens.radius_px * min(lens.aspect, 1) for lens in self.lenses) / 2)
+
+    def pixels(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Faces]:
+        """Return u, v of bearings in the circle of the nearer lens, and which it shows."""
+        front, rear, share = self._both(x, y, z)
+        return self._nearer(front, rear, share)
+
+    def bearings(self, uv: Pixels) -> tuple[Bearings, Mask]:
+        """Return where pixels look through the lens whose circle they are in, and which do."""
+        near_front, near_rear = (
+            np.linalg.norm((uv - lens.center_px) / (lens.radius_px, lens.radius_px * lens.aspect),
+                           axis=-1) for lens in self.lenses)
+        is_front = near_front < near_rear
+        front, rear = (_looks(lens, uv, self.max_angle_rad) for lens in self.lenses)
+        return (np.where(is_front[..., None], front[0], rear[0]),
+                np.where(is_front, front[1], rear[1]))
+
+    def resized(self, size_wh: tuple[int, int]) -> 'DualFisheye':
+        """Return the projection of the picture at another size."""
+        scales = np.divide(size_wh, self.size_wh).tolist()
+        front, rear = (lens.scaled(*scales) for lens in self.lenses)
+        return DualFisheye(size_wh, (front, rear), self.max_angle_rad, self.blend_rad)
 
     def nodes(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
-        """Return u, v and which cells do not interpolate: those where the lenses overlap."""
-        xyz = cv2.merge((x, y, z))
-        front, rear = (lens.pixels(xyz) for lens in self.lenses)
-        share = self._share(front, rear)
-        u, v = (np.where(share > 0.5, a, b) for a, b in zip(front[:2], rear[:2]))
+        """Return u, v and which cells do not interpolate: also those where the lenses overlap."""
+        front, rear, share = self._both(x, y, z)
+        u, v, uneven = self.nodes_at(*self._nearer(front, rear, share))
         blended = np.uint8((share > 0) & (share < 1))
-        uneven = cv2.dilate(blended, np.ones((2, 2)), anchor=(0, 0))[:-1, :-1] > 0
-        return u, v, uneven | bent_cells(np.maximum(bend(u), bend(v)))
+        return u, v, uneven | (cv2.dilate(blended, np.ones((2, 2)), anchor=(0, 0))[:-1, :-1] > 0)
 
     def read(self, image: Raster, x: Plane, y: Plane, z: Plane) -> Raster:
         """Return the values along bearings, where lenses overlap the mean by their shares."""
+        front, rear, share = self._both(x, y, z)
+        *_, face = self._nearer(front, rear, share)
+        of_front, of_rear = (
+            cv2.remap(image, *one[:2], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            for one in (front, rear))
+        values = cv2.blendLinear(of_front, of_rear, share, 1 - share)
+        values[face == NOWHERE] = 0
+        return values
+
+    def _both(self, x: Plane, y: Plane, z: Plane) -> tuple[LensPixels, LensPixels, Plane]:
+        """Return what each lens has of bearings, and the share (h, w) of the front lens."""
         xyz = cv2.merge((x, y, z))
         front, rear = (lens.pixels(xyz) for lens in self.lenses)
-        share = self._share(front, rear)
-        values = (cv2.remap(image, *one[:2], cv2.INTER_LINEAR, borderMode=self.border)
-                  for one in (front, rear))
-        return cv2.blendLinear(*values, share, 1 - share)
-
-    def grey_sphere(self, frame: Picture, width: int) -> Grey:
-        """Return the picture of a Frame as a grey sphere (width / 2, width)."""
-        grey = frame.grey()
-        scale = width / self.sphere_width
-        if scale > MIN_REDUCTION:
-            return equirect_warp(width)(grey, Rotation.identity(), self)
-        # What is left out of a picture much finer would flicker.
-        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        return equirect_warp(width)(grey, Rotation.identity(), self.scaled(scale))
-
-    def scaled(self, scale: float) -> 'DualFisheye':
-        """Return the DualFisheye of the picture scaled by a factor."""
-        front, rear = (lens.scaled(scale) for lens in self.lenses)
-        return DualFisheye(front, rear, self.blend_rad)
-
-    def _share(self, front: tuple[Plane, ...], rear: tuple[Plane, ...]) -> Plane:
-        """Return the share (h, w) of the front lens, 1 far from the border and 0 beyond it."""
+        # 1 far from the border and 0 beyond it.
         inside = (rear[2] - front[2]) / np.float32(2 * max(self.blend_rad, 1e-6))
-        return np.clip(inside + np.float32(0.5), 0, 1)
+        return front, rear, np.clip(inside + np.float32(0.5), 0, 1)
+
+    def _nearer(self, front: LensPixels, rear: LensPixels, share: Plane
+                ) -> tuple[Plane, Plane, Faces]:
+        is_front = share > 0.5
+        u, v, face = _shown(
+            tuple(np.where(is_front, a, b) for a, b in zip(front, rear)), self.size_wh,
+            self.max_angle_rad)
+        return u, v, face | is_front
+
+
+def _shown(pixels: LensPixels, size_wh: tuple[int, int], max_angle_rad: float
+           ) -> tuple[Plane, Plane, Faces]:
+    """Return u, v within a picture, and whether they are in it and not too far off the axis."""
+    *uv, theta = pixels
+    seen = theta <= max_angle_rad
+    bounded = []
+    for one, size in zip(uv, size_wh):
+        seen &= (one >= -0.5) & (one <= size - 0.5)
+        bounded.append(np.clip(one, 0, size - 1))
+    return bounded[0], bounded[1], np.uint8(NOWHERE) * ~seen
+
+
+def _looks(lens: Lens, uv: Pixels, max_angle_rad: float) -> tuple[Bearings, Mask]:
+    """Return where pixels look through a lens, and which do, not too far off the axis."""
+    xyz = lens.bearings(uv)
+    u, v, theta = lens.pixels(xyz)
+    # What no angle reaches comes back elsewhere.
+    return xyz, (theta <= max_angle_rad) & (np.hypot(u - uv[..., 0], v - uv[..., 1]) < 0.01)
 
 
 def fits(config: FisheyeConfig, size_wh: tuple[int, int]) -> bool:
     """Tell whether pictures (width, height) are those of a FisheyeConfig, scaled perhaps."""
     width, height = size_wh
     expected_width = height * config.width / config.height
-    return abs(width - expected_width) < ASPECT_TOLERANCE * expected_width
+    return (config.stretched and min(size_wh) > 0
+            or abs(width - expected_width) < ASPECT_TOLERANCE * expected_width)
 
 
 @lru_cache(maxsize=8)
@@ -160,13 +162,15 @@ def dual_fisheye(config: FisheyeConfig, size_wh: tuple[int, int]) -> DualFisheye
     """Return the DualFisheye of a FisheyeConfig for pictures (width, height) that it fits."""
     # Both lenses see it.
     overlap_deg = min(config.blend_deg, config.fov_deg - 180)
+    front, rear = (lens_of(lens, config.model) for lens in (config.front, config.rear))
     return DualFisheye(
-        lens_of(config.front), lens_of(config.rear), np.deg2rad(overlap_deg)).scaled(
-            size_wh[0] / config.width)
+        (config.width, config.height), (front, rear), np.deg2rad(config.fov_deg / 2),
+        np.deg2rad(overlap_deg)).resized(size_wh)
 
 
-def lens_of(config: LensConfig) -> Lens:
-    """Return the Lens of a LensConfig."""
-    return Lens(
-        (config.center_u_px, config.center_v_px), config.radius_px, config.k1, config.k2,
-        view_rotation(*np.deg2rad((config.yaw_deg, config.pitch_deg, config.roll_deg))))
+@lru_cache(maxsize=8)
+def single_fisheye(config: FisheyeConfig, size_wh: tuple[int, int]) -> Fisheye:
+    """Return the Fisheye of a FisheyeConfig's front lens for pictures (width, height) it fits."""
+    return Fisheye(
+        (config.width, config.height), lens_of(config.front, config.model),
+        np.deg2rad(config.fov_deg / 2)).resized(size_wh)

@@ -57,6 +57,9 @@ class Projection(Protocol):
     def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey sphere (width / 2, width) to track in."""
 
+    def seen(self, width: int) -> Mask | None:
+        """Return which pixels of a sphere (width / 2, width) show the world; None are all."""
+
 
 @dataclass(frozen=True)
 class Equirect:
@@ -105,6 +108,10 @@ class Equirect:
     def grey_sphere(self, frame: Picture, width: int) -> Grey:
         """Return the picture of a Frame as a grey one (width / 2, width)."""
         return to_grey(frame.grey(width), width)
+
+    def seen(self, width: int) -> Mask | None:
+        """Return None: the whole sphere is seen."""
+        return None
 
 
 def to_grey(image: Image, width: int | None = None) -> Grey:

@@ -8,10 +8,23 @@
 
 """Choose the Projection of a stream's pictures by the config and their size."""
 
-from sph_stab_ros.config import DUAL_FISHEYE, MIN_WIDTH, StabilizerConfig
+import numpy as np
+
+from sph_stab_ros.config import (
+    ConfigError, CROPPED_EQUIRECT, CUBEMAP, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP, FISHEYE,
+    FisheyeConfig, MIN_WIDTH, StabilizerConfig, STRETCHED_EQUIRECT)
+from sph_stab_ros.geometry.cropped_equirect import cropped_equirect, CroppedEquirect
+from sph_stab_ros.geometry.cubemap import cubemap, equi_angular_cubemap
 from sph_stab_ros.geometry.equirect import is_equirect
-from sph_stab_ros.geometry.fisheye import dual_fisheye, fits
+from sph_stab_ros.geometry.fisheye import dual_fisheye, fits, single_fisheye
+from sph_stab_ros.geometry.lens import lens_of
+from sph_stab_ros.geometry.lens_file import check_lens_file, with_lens_file
 from sph_stab_ros.geometry.projection import Equirect, Projection
+
+# Of sums that are those of a whole sphere.
+ROUNDING = 1e-6
+# Of how many fisheye lenses which projection is.
+LENSES = {FISHEYE: 1, DUAL_FISHEYE: 2}
 
 
 class ProjectionError(ValueError):
@@ -26,23 +39,64 @@ class ProjectionError(ValueError):
         self.reason = reason
 
 
+def check_projection(config: StabilizerConfig) -> None:
+    """Raise ConfigError where what a config says of its projection fits no picture."""
+    crop = config.crop
+    if config.projection == CROPPED_EQUIRECT and (
+            crop.width > crop.full_width
+            or crop.top + crop.height > crop.full_height * (1 + ROUNDING)):
+        raise ConfigError('crop.width and crop.height reach beyond the whole sphere')
+    if config.projection not in LENSES:
+        return
+    count = LENSES[config.projection]
+    check_lens_file(config.fisheye, count)
+    fisheye = with_lens_file(config.fisheye, (0, 0))
+    for name in ('front', 'rear')[:count]:
+        if not lens_of(getattr(fisheye, name), fisheye.model).tells_apart(
+                np.deg2rad(fisheye.fov_deg / 2)):
+            raise ConfigError(
+                f'the distortion of the {name} lens turns back before {fisheye.fov_deg / 2:g} '
+                'degrees, half of fisheye.fov_deg')
+
+
 def projection_of(size_wh: tuple[int, int], config: StabilizerConfig) -> Projection:
     """Return the Projection of images of a size by a config, or raise ProjectionError."""
-    width, height = size_wh
-    projection: Projection
-    if config.projection == DUAL_FISHEYE:
-        fisheye = config.fisheye
-        if not fits(fisheye, (width, height)):
-            raise ProjectionError(
-                'not as calibrated', f'the image is {width}x{height}, the calibration of the '
-                f'fisheye lenses is for {fisheye.width}x{fisheye.height}')
-        projection = dual_fisheye(fisheye, (width, height))
-    elif is_equirect((height, width)):
-        projection = Equirect(width)
-    else:
-        raise ProjectionError('not 2:1', 'an equirectangular image is twice as wide as high, this '
-                              f'is {width}x{height}')
+    projection = _projection(size_wh, config)
     if projection.sphere_width < MIN_WIDTH:
         raise ProjectionError('unusable size', f'the sphere is {projection.sphere_width} px '
                               f'around, at least {MIN_WIDTH} are needed')
     return projection
+
+
+def _projection(size_wh: tuple[int, int], config: StabilizerConfig) -> Projection:
+    width, height = size_wh
+    if config.projection in LENSES:
+        return _of_lenses(config.fisheye, size_wh, config.projection)
+    if config.projection == STRETCHED_EQUIRECT:
+        return CroppedEquirect(size_wh)
+    if config.projection == CROPPED_EQUIRECT:
+        return cropped_equirect(config.crop, size_wh)
+    if config.projection == EQUI_ANGULAR_CUBEMAP:
+        return equi_angular_cubemap(size_wh)
+    if config.projection == CUBEMAP:
+        found = cubemap(config.cubemap.order, config.cubemap.turns, size_wh)
+        if found is None:
+            raise ProjectionError('not a cubemap', 'six square faces lie 3x2, 6x1, 1x6 or 4x3, '
+                                  f'this is {width}x{height}')
+        return found
+    if not is_equirect((height, width)):
+        raise ProjectionError('not 2:1', 'an equirectangular image is twice as wide as high, this '
+                              f'is {width}x{height}')
+    return Equirect(width)
+
+
+def _of_lenses(config: FisheyeConfig, size_wh: tuple[int, int], projection: str) -> Projection:
+    try:
+        fisheye = with_lens_file(config, size_wh)
+    except ConfigError as error:
+        raise ProjectionError('no calibration', str(error)) from None
+    if not fits(fisheye, size_wh):
+        raise ProjectionError(
+            'not as calibrated', f'the image is {size_wh[0]}x{size_wh[1]}, the calibration of the '
+            f'fisheye lenses is for {fisheye.width}x{fisheye.height}')
+    return (dual_fisheye if projection == DUAL_FISHEYE else single_fisheye)(fisheye, size_wh)

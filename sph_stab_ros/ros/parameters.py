@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sph_stab_ros.config import Settings, VIEW
 from sph_stab_ros.config.options import Option
+from sph_stab_ros.geometry.projection_factory import check_projection
 from sph_stab_ros.tracking import check_mask
 
 
@@ -29,6 +30,7 @@ def changed(settings: Settings, parameters: Iterable[Parameter]) -> Settings:
     new = settings.changed({one.name: one.value for one in parameters if one.name in known})
     if new.config.tracker != settings.config.tracker:
         check_mask(new.config.tracker)
+    check_projection(new.config)
     return new
 
 

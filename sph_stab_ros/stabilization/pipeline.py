@@ -20,6 +20,7 @@ from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
 from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.layout import Layout
+from sph_stab_ros.geometry.masks import common
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.geometry.rotations import rotate_covariance, standard_deviation_rad
@@ -162,7 +163,7 @@ class Stabilizer:
         if config.tracker != self.config.tracker:
             self._tracker = None
         if any(getattr(config, name) != getattr(self.config, name)
-               for name in ('projection', 'fisheye', 'layout')):
+               for name in ('projection', 'fisheye', 'crop', 'cubemap', 'layout')):
             self._tracker = self._last = None
         if config.imu != self.config.imu:
             self._imu.clear()
@@ -240,7 +241,9 @@ class Stabilizer:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
         self._working_width = min(
             working_width(self.config.tracker), self._projection.sphere_width)
-        seen = () if layout is None else (layout.seen(self._working_width),)
+        part = common(self._projection.seen(self._working_width),
+                      None if layout is None else layout.seen(self._working_width))
+        seen = () if part is None else (part,)
         tracker = self._tracker = self._make_tracker(
             self.config.tracker, self._working_width, self._gyro_rotation, *seen)
         self._R_origin_start = self._R_origin_camera

@@ -13,8 +13,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import (
-    ANCHORED, DUAL_FISHEYE, EQUIRECT, FLOWS, LEVELS, METHODS, MODES, NODE_PARAMETERS, PROJECTIONS,
-    SmoothingConfig, StabilizerConfig, TrackerConfig)
+    ANCHORED, CROPPED_EQUIRECT, CUBEMAP, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP, EQUIRECT, FISHEYE,
+    FLOWS, LEVELS, METHODS, MODES, NODE_PARAMETERS, PROJECTIONS, SmoothingConfig,
+    StabilizerConfig, STRETCHED_EQUIRECT, TrackerConfig)
+from sph_stab_ros.geometry.cropped_equirect import CroppedEquirect
+from sph_stab_ros.geometry.cubemap import Cubemap
+from sph_stab_ros.geometry.fisheye import DualFisheye, Fisheye
+from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.imu import ImuSample
@@ -70,12 +75,18 @@ def test_every_level_makes_another_world():
 
 
 def test_every_projection_is_one_of_its_own():
-    # The default calibration's size, which fits two circles, and that of a sphere.
-    sizes_wh = {EQUIRECT: (512, 256), DUAL_FISHEYE: (1280, 720)}
-    assert set(PROJECTIONS) == sizes_wh.keys()
-    kinds = {type(projection_of(sizes_wh[name], StabilizerConfig(projection=name)))
-             for name in PROJECTIONS}
-    assert len(kinds) == len(PROJECTIONS)
+    # Of the circles the size of the default calibration.
+    kinds = {
+        EQUIRECT: ((512, 256), Equirect), STRETCHED_EQUIRECT: ((1280, 720), CroppedEquirect),
+        CROPPED_EQUIRECT: ((512, 256), CroppedEquirect), CUBEMAP: ((600, 400), Cubemap),
+        EQUI_ANGULAR_CUBEMAP: ((1280, 720), Cubemap), FISHEYE: ((1280, 720), Fisheye),
+        DUAL_FISHEYE: ((1280, 720), DualFisheye)}
+    assert set(PROJECTIONS) == kinds.keys()
+    for name, (size_wh, kind) in kinds.items():
+        projection = projection_of(size_wh, StabilizerConfig(projection=name))
+        assert type(projection) is kind
+        if kind is Cubemap:
+            assert projection.equi_angular == (name == EQUI_ANGULAR_CUBEMAP)
 
 
 @pytest.mark.parametrize('name', [name for name, one in NODE_PARAMETERS.items() if one.choices])

@@ -90,6 +90,12 @@ def test_orientations_are_those_of_the_camera(bag, calibration, tmp_path, capsys
     assert json.loads(out.read_text())['estimators']['anchored']['geodesic_deg']['mean'] < 0.5
 
 
+def test_a_part_of_the_sphere_is_not_turned_as_if_it_were_all(turning_bag, tmp_path, capsys):
+    half = ('--projection', 'cropped_equirect', '-p', 'crop.height:=0.5')
+    assert evaluate([str(turning_bag), *half, '--inject', '1']) == 1
+    assert '--inject needs pictures of the whole sphere' in capsys.readouterr().err
+
+
 def test_a_replay_writes_spheres_and_views(bag, calibration, tmp_path, capsys):
     assert replay([str(bag), str(tmp_path / 'out'), '--calibration', str(calibration)]) == 0
     assert '1x not as calibrated' in capsys.readouterr().out

@@ -10,6 +10,9 @@
 
 from sph_stab_ros.config import NODE_PARAMETERS
 
+# Of those that take not just any text.
+TEXTS = {'mask': 'lat:-90,-60', 'cubemap.order': 'lrfbdu', 'cubemap.turns': '012301'}
+
 
 def other_value(name):
     """Return a value that a parameter takes and that is not its default."""
@@ -19,5 +22,5 @@ def other_value(name):
     if option.minimum is not None:
         return option.maximum if option.maximum != option.default else option.minimum
     return {bool: not option.default, tuple: ['view', 'rear'],
-            str: 'lat:-90,-60' if name == 'mask' else f'other_{name.replace(".", "_")}',
+            str: TEXTS.get(name, f'other_{name.replace(".", "_")}'),
             }[type(option.default)]
