@@ -239,13 +239,12 @@ class Stabilizer:
 
     def _started(self, layout: Layout | None) -> Tracker:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
-        self._working_width = min(
-            working_width(self.config.tracker), self._projection.sphere_width)
-        part = common(self._projection.seen(self._working_width),
-                      None if layout is None else layout.seen(self._working_width))
+        width = min(working_width(self.config.tracker), self._projection.sphere_width)
+        part = common(self._projection.seen(width), layout.seen(width) if layout else None)
         seen = () if part is None else (part,)
+        self._working_width = width
         tracker = self._tracker = self._make_tracker(
-            self.config.tracker, self._working_width, self._gyro_rotation, *seen)
+            self.config.tracker, width, self._gyro_rotation, *seen)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
         if self._last is not None:
