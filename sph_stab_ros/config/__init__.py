@@ -16,9 +16,9 @@ from sph_stab_ros.config.projection import (
     PROJECTIONS, STRETCHED_EQUIRECT)
 from sph_stab_ros.config.schema import (
     ANCHORED, AUTO, FIRST_FRAME, FLOWS, FOLLOW, HALF_SPHERE, IMAGE_TRANSPORTS, IMU, ImuConfig,
-    LEFT_RIGHT, LEVELS, LOCK, METHODS, MODES, MONO, NODE_PARAMETERS, NodeConfig, PICTURE_LAYOUTS,
-    RESERVED, SmoothingConfig, StabilizerConfig, TOP_BOTTOM, TrackerConfig, VIEW, VIEW_NAME,
-    view_parameters, ViewConfig, VR180, YAW_FOLLOW)
+    LEFT_RIGHT, LEVELS, LOCK, METHODS, MODES, MONO, NODE_PARAMETERS, NodeConfig,
+    PICTURE_LAYOUTS, RESERVED, SmoothingConfig, StabilizerConfig, TOP_BOTTOM, TrackerConfig,
+    VIEW, VIEW_NAME, view_parameters, ViewConfig, VR180, YAW_FOLLOW)
 from sph_stab_ros.config.settings import frame_in_tf, Settings, settings_of
 
 __all__ = [
@@ -29,5 +29,5 @@ __all__ = [
     'LENS_MODELS', 'LensConfig', 'LEVELS', 'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'MONO',
     'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options', 'PICTURE_LAYOUTS', 'PROJECTIONS',
     'RESERVED', 'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig',
-    'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME', 'view_parameters',
-    'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']
+    'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME',
+    'view_parameters', 'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']

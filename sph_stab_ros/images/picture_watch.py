@@ -13,7 +13,7 @@ from typing import Any
 from sph_stab_ros.config import DUAL_FISHEYE, EQUIRECT
 from sph_stab_ros.images.frame import Frame, frame_from_message
 from sph_stab_ros.images.image_error import ImageError
-from sph_stab_ros.images.layout import is_about, Layout, reduced, Seen, seen_in, SIDE_PX
+from sph_stab_ros.images.picture_kind import is_about, PictureKind, reduced, Seen, seen_in, SIDE_PX
 
 # Which pictures are looked at: the first ones, and of the others one of so many.
 FIRST, SELDOM = 3, 100
@@ -23,11 +23,11 @@ AGREEING = 3
 MAX_SQUEEZED = 0.05
 BY_CALIBRATION = "-p projection:=dual_fisheye reads them, by the lenses' calibration in fisheye.*"
 ADVICE = {
-    Layout.FISHEYE: 'convert them to equirectangular ones',
-    Layout.STEREO: 'crop one of the two out of them',
-    Layout.HALF_SPHERE: 'pad them to 2:1 with black on both sides',
-    Layout.SQUEEZED: 'scale them to {scaled}',
-    Layout.BORDERS: 'crop the borders away',
+    PictureKind.FISHEYE: 'convert them to equirectangular ones',
+    PictureKind.STEREO: 'crop one of the two out of them',
+    PictureKind.HALF_SPHERE: 'pad them to 2:1 with black on both sides',
+    PictureKind.SQUEEZED: 'scale them to {scaled}',
+    PictureKind.BORDERS: 'crop the borders away',
 }
 
 
@@ -84,7 +84,7 @@ def hint_of(seen: Seen, size_wh: tuple[int, int], projection: str) -> str:
     right_height = height * seen.squeezed
     # Circles are not found to the pixel.
     scaled = f'{width}x{width // 2 if is_about(width / right_height, 2) else round(right_height)}'
-    if seen.layout is not Layout.TWO_FISHEYES:
+    if seen.layout is not PictureKind.TWO_FISHEYES:
         # Of two lenses the calibration says more than can be seen.
         return '' if projection == DUAL_FISHEYE else (
             f'{what}, which no option reads: {ADVICE[seen.layout].format(scaled=scaled)} first')

@@ -24,7 +24,10 @@ def as_sphere(frame: Frame, config: StabilizerConfig) -> Frame:
     One eye is taken of two, and what is not seen is black; the Frame's layout tells what is.
     """
     layout = frame.layout if config.layout == AUTO else LAYOUTS.get(config.layout)
-    if layout is None or config.projection != EQUIRECT:
+    if config.projection != EQUIRECT:
+        # Where what a picture shows is the Projection's business, metadata have no say.
+        return replace(frame, layout=None)
+    if layout is None:
         return frame
     return replace(frame, source=SphereOf(frame, layout), layout=layout.in_sphere)
 

@@ -16,10 +16,11 @@ from enum import Enum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import EQUIRECT, IMU, StabilizerConfig, ViewConfig
+from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
 from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.layout import Layout
+from sph_stab_ros.geometry.masks import common
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.geometry.rotations import rotate_covariance, standard_deviation_rad
@@ -238,13 +239,12 @@ class Stabilizer:
 
     def _started(self, layout: Layout | None) -> Tracker:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
-        self._working_width = min(
-            working_width(self.config.tracker), self._projection.sphere_width)
-        of_layout = layout if self.config.projection == EQUIRECT else None
-        part = (of_layout or self._projection).seen(self._working_width)
+        width = min(working_width(self.config.tracker), self._projection.sphere_width)
+        part = common(self._projection.seen(width), layout.seen(width) if layout else None)
         seen = () if part is None else (part,)
+        self._working_width = width
         tracker = self._tracker = self._make_tracker(
-            self.config.tracker, self._working_width, self._gyro_rotation, *seen)
+            self.config.tracker, width, self._gyro_rotation, *seen)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
         if self._last is not None:

@@ -171,7 +171,7 @@ def test_losing_control_is_said(served, page, browser):
 def test_no_more_pixels_are_drawn_than_the_picture_has(served, page):
     """Where they are slow; a picture of 128 columns has 49 within 100°, 11 within 30°."""
     page.page.set_viewport_size({'width': 3840, 'height': 2160})
-    size = '() => [...["width", "height"].map(one => document.getElementById("picture")[one])]'
+    size = '() => (one => [one.width, one.height])(document.querySelector("#picture canvas"))'
     wait_until(lambda: page.page.evaluate(size) == [49, 27], lambda: page.page.evaluate(size))
     for _ in range(20):
         page.page.keyboard.press('+')

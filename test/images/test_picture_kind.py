@@ -20,7 +20,7 @@ from sph_stab_ros.config import DUAL_FISHEYE, EQUIRECT, FisheyeConfig, LensConfi
 from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.warp import rotate_equirect
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.layout import Layout, reduced, Seen, seen_in
+from sph_stab_ros.images.picture_kind import PictureKind, reduced, Seen, seen_in
 from sph_stab_ros.images.picture_watch import AGREEING, FIRST, PictureWatch, SELDOM
 from sph_stab_ros.recording import open_recording
 from synthetic import textured_sphere
@@ -81,29 +81,29 @@ def half(sphere):
 
 
 OTHERS = {
-    'circles side by side': (fisheyes, Layout.TWO_FISHEYES, 1),
+    'circles side by side': (fisheyes, PictureKind.TWO_FISHEYES, 1),
     'circles above each other': (lambda s: np.vstack(np.hsplit(fisheyes(s), 2)),
-                                 Layout.TWO_FISHEYES, 1),
-    'a Theta S': (lambda s: fisheye_picture(s, FisheyeConfig()), Layout.TWO_FISHEYES, 1),
+                                 PictureKind.TWO_FISHEYES, 1),
+    'a Theta S': (lambda s: fisheye_picture(s, FisheyeConfig()), PictureKind.TWO_FISHEYES, 1),
     'circles squeezed to 16:9': (lambda s: scaled(fisheyes(s), 640, 360),
-                                 Layout.TWO_FISHEYES, 8 / 9),
-    'lenses without circles': (without_corners, Layout.TWO_FISHEYES, 1),
-    'one circle': (lambda s: np.hsplit(fisheyes(s), 2)[0], Layout.FISHEYE, 1),
+                                 PictureKind.TWO_FISHEYES, 8 / 9),
+    'lenses without circles': (without_corners, PictureKind.TWO_FISHEYES, 1),
+    'one circle': (lambda s: np.hsplit(fisheyes(s), 2)[0], PictureKind.FISHEYE, 1),
     'one circle in 16:9': (lambda s: framed(np.hsplit(fisheyes(s), 2)[0], 570, 320),
-                           Layout.FISHEYE, 1),
+                           PictureKind.FISHEYE, 1),
     'one circle in 2:1': (lambda s: framed(np.hsplit(fisheyes(s), 2)[0], 640, 320),
-                          Layout.FISHEYE, 1),
-    'eyes above each other': (lambda s: np.vstack(eyes(s)), Layout.STEREO, 1),
+                          PictureKind.FISHEYE, 1),
+    'eyes above each other': (lambda s: np.vstack(eyes(s)), PictureKind.STEREO, 1),
     'eyes above each other in 2:1': (lambda s: scaled(np.vstack(eyes(s)), 640, 320),
-                                     Layout.STEREO, 1),
-    'eyes side by side': (lambda s: np.hstack(eyes(s)), Layout.STEREO, 1),
+                                     PictureKind.STEREO, 1),
+    'eyes side by side': (lambda s: np.hstack(eyes(s)), PictureKind.STEREO, 1),
     'eyes side by side in 2:1': (lambda s: scaled(np.hstack(eyes(s)), 640, 320),
-                                 Layout.STEREO, 1),
-    'VR180': (lambda s: np.hstack([half(eye) for eye in eyes(s)]), Layout.STEREO, 1),
-    'a letterbox': (lambda s: framed(s, 640, 360), Layout.BORDERS, 1),
-    'borders all around': (lambda s: framed(scaled(s, 600, 300), 640, 320), Layout.BORDERS, 1),
-    'a sphere squeezed to 16:9': (lambda s: scaled(s, 640, 360), Layout.SQUEEZED, 8 / 9),
-    'half a sphere': (half, Layout.HALF_SPHERE, 1),
+                                 PictureKind.STEREO, 1),
+    'VR180': (lambda s: np.hstack([half(eye) for eye in eyes(s)]), PictureKind.STEREO, 1),
+    'a letterbox': (lambda s: framed(s, 640, 360), PictureKind.BORDERS, 1),
+    'borders all around': (lambda s: framed(scaled(s, 600, 300), 640, 320), PictureKind.BORDERS, 1),
+    'a sphere squeezed to 16:9': (lambda s: scaled(s, 640, 360), PictureKind.SQUEEZED, 8 / 9),
+    'half a sphere': (half, PictureKind.HALF_SPHERE, 1),
 }
 
 
@@ -185,9 +185,9 @@ def test_no_sphere_in_footage_is_taken_for_anything_else(shared_data):
 
 
 @pytest.mark.parametrize('name, expected', [
-    ('reports/dual_fisheye_as_equirect/VID_00_001.insv', Seen(Layout.TWO_FISHEYES)),
-    ('gear360_road/fallback.mp4', Seen(Layout.TWO_FISHEYES, 8 / 9)),
-    ('reports/vr180/vr180_tagged_v2.mp4', Seen(Layout.STEREO)),
+    ('reports/dual_fisheye_as_equirect/VID_00_001.insv', Seen(PictureKind.TWO_FISHEYES)),
+    ('gear360_road/fallback.mp4', Seen(PictureKind.TWO_FISHEYES, 8 / 9)),
+    ('reports/vr180/vr180_tagged_v2.mp4', Seen(PictureKind.STEREO)),
     ('reports/colour/bars709.mp4', None),
     ('tripod/cave.mp4', None),
 ])
