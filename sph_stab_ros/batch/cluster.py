@@ -38,7 +38,8 @@ def run_on_cluster(tasks: Sequence[Task], address: str) -> Generator[Event, None
         raise RecordingError(
             "--scheduler needs Dask: pip install 'sph_stab_ros[cluster]'") from None
     # What it says of connections that come and go is no concern of the user's.
-    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+    for name in ('distributed', 'distributed.client'):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     events: SimpleQueue[Event] = SimpleQueue()
     topic = f'sph_stab_ros-{uuid4().hex}'
     try:

@@ -135,12 +135,14 @@ def run_task(task: Task, say: Say, processes: Processes) -> Outcome:
         if attempt:
             say(Again(task.name, reason))
         task = replace(task, attempt=uuid4().hex)
-        outcome, reason = _run_once(task, say, processes)
-        if outcome is not None:
-            return outcome
-        shutil.rmtree(task.partial, ignore_errors=True)
-        if processes.ended:
-            break
+        task.partial.mkdir(parents=True)
+        try:
+            outcome, reason = _run_once(task, say, processes)
+            # Where the folder is gone nobody waits for the result any more.
+            if outcome is not None or processes.ended or not task.partial.is_dir():
+                return outcome or Outcome(task.name, reason, failed=True)
+        finally:
+            shutil.rmtree(task.partial, ignore_errors=True)
     return Outcome(task.name, f'{reason}, {1 + RETRIES} times', failed=True)
 
 

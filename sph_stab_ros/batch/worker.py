@@ -17,7 +17,6 @@ import os
 from pathlib import Path
 import pickle
 import resource
-import shutil
 import socket
 import sys
 import time
@@ -74,42 +73,36 @@ def work(task: Task, channel: IO[str]) -> str:
         return 'evaluated'
     warnings = Warnings()
     logging.getLogger().addHandler(warnings)
-    # What stands behind a library's last reference to stderr is for whoever debugs it.
-    logging.lastResort = None
     partial = task.partial
-    partial.mkdir(parents=True)
-    try:
-        out = None if task.video is None else partial / (VIDEO if task.video else BAG)
-        args = Namespace(**{**vars(task.args), 'recording': task.recording, 'out': out,
-                            'trajectory': partial / TRAJECTORY, 'force': False})
+    out = None if task.video is None else partial / (VIDEO if task.video else BAG)
+    args = Namespace(**{**vars(task.args), 'recording': task.recording, 'out': out,
+                        'trajectory': partial / TRAJECTORY, 'force': False})
 
-        def progress(frames: Iterator[Frame], total: int | None) -> Iterable[Frame]:
-            said_s = 0.
-            for count, frame in enumerate(frames):
-                if time.monotonic() > said_s + PROGRESS_S:
-                    said_s = time.monotonic()
-                    if not partial.is_dir():
-                        raise Abandoned
-                    say(channel, frames=count, total=total)
-                yield frame
+    def progress(frames: Iterator[Frame], total: int | None) -> Iterable[Frame]:
+        said_s = 0.
+        for count, frame in enumerate(frames):
+            if time.monotonic() > said_s + PROGRESS_S:
+                said_s = time.monotonic()
+                if not partial.is_dir():
+                    raise Abandoned
+                say(channel, frames=count, total=total)
+            yield frame
 
-        start_s = time.perf_counter()
-        summary, lines = replay(args, task.settings, progress)
-        elapsed_s = time.perf_counter() - start_s
-        if task.evaluate:
-            evaluate(task, partial)
-        outputs = {path.relative_to(partial).as_posix(): path.stat().st_size
-                   for path in sorted(partial.rglob('*'))
-                   if path.is_file() and path.name != EVALUATION}
-        write_json(partial / MANIFEST, {
-            'identity': task.identity, 'recording': str(task.recording), 'outputs': outputs,
-            'frames': summary.frames, 'statuses': summary.statuses, 'events': summary.events,
-            'left_out': summary.left_out, 'report': lines, 'warnings': warnings.lines,
-            'cost': cost(elapsed_s), 'host': socket.gethostname(),
-            'finished': datetime.now(timezone.utc).isoformat(timespec='seconds')})
-        publish(partial, task.out / task.name, task.identity)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    start_s = time.perf_counter()
+    summary, lines = replay(args, task.settings, progress)
+    elapsed_s = time.perf_counter() - start_s
+    if task.evaluate:
+        evaluate(task, partial)
+    outputs = {path.relative_to(partial).as_posix(): path.stat().st_size
+               for path in sorted(partial.rglob('*'))
+               if path.is_file() and path.name != EVALUATION}
+    write_json(partial / MANIFEST, {
+        'identity': task.identity, 'recording': str(task.recording), 'outputs': outputs,
+        'frames': summary.frames, 'statuses': summary.statuses, 'events': summary.events,
+        'left_out': summary.left_out, 'report': lines, 'warnings': warnings.lines,
+        'cost': cost(elapsed_s), 'host': socket.gethostname(),
+        'finished': datetime.now(timezone.utc).isoformat(timespec='seconds')})
+    publish(partial, task.out / task.name, task.identity)
     return lines[0]
 
 

@@ -165,3 +165,16 @@ def test_no_more_than_so_many_at_once_and_each_once(task, monkeypatch):
     assert most[0] == 3
     assert begun == Counter(one.name for one in outcomes) == Counter(map(str, range(20)))
     assert [one.line for one in outcomes if one.failed] == ['ValueError: of its own']
+
+
+def test_what_nobody_waits_for_does_not_begin_again(task):
+    """Its folder is gone, as after an interrupted batch on a cluster, and then it is killed."""
+    say = Killer(100)
+
+    def give_up(event):
+        for folder in (task.out / '.partial').iterdir():
+            folder.rename(task.out / 'gone')
+        say(event)
+    outcome = run_task(task, give_up, say.processes)
+    assert outcome.failed and not any(isinstance(event, Again) for event in say.events)
+    assert not (task.out / 'bag').exists()
