@@ -100,22 +100,14 @@ class Av1:
         is_shown_key = kind == KEY and bool(is_shown)
         is_resilient = kind == SWITCH or is_shown_key or bool(bits.u(1))
         bits.u(1)
-        has_tools = sequence.force_screen_content_tools
-        if has_tools == SELECT:
-            has_tools = bits.u(1)
-        if has_tools and sequence.force_integer_mv == SELECT:
-            bits.u(1)
+        skip_tools(bits, sequence)
         bits.u(sequence.frame_id_length)
         if kind != SWITCH:
             bits.u(1)
         number = bits.u(sequence.order_hint_bits)
         if not (is_resilient or kind in (KEY, INTRA_ONLY)):
             bits.u(3)
-        if sequence.buffer_removal_time_length and bits.u(1):
-            for idc in sequence.operating_point_idcs:
-                temporal, spatial = layers
-                if idc == 0 or idc >> temporal & 1 and idc >> spatial + 8 & 1:
-                    bits.u(sequence.buffer_removal_time_length)
+        skip_removal_times(bits, sequence, layers)
         refreshed = ALL_SLOTS if kind == SWITCH or is_shown_key else bits.u(SLOTS)
         # Without hints there is nothing to compare.
         known = number if sequence.order_hint_bits else None
@@ -123,6 +115,24 @@ class Av1:
             if refreshed >> slot & 1:
                 self._kept[slot] = known, kind
         return is_shown_key, known if is_shown else None
+
+
+def skip_tools(bits: Bits, sequence: Sequence) -> None:
+    """Read over what a frame header says of screen content."""
+    has_tools = sequence.force_screen_content_tools
+    if has_tools == SELECT:
+        has_tools = bits.u(1)
+    if has_tools and sequence.force_integer_mv == SELECT:
+        bits.u(1)
+
+
+def skip_removal_times(bits: Bits, sequence: Sequence, layers: tuple[int, int]) -> None:
+    """Read over the times at which a frame header has buffers emptied, of some layers each."""
+    if sequence.buffer_removal_time_length and bits.u(1):
+        temporal, spatial = layers
+        for idc in sequence.operating_point_idcs:
+            if idc == 0 or idc >> temporal & 1 and idc >> spatial + 8 & 1:
+                bits.u(sequence.buffer_removal_time_length)
 
 
 def obus(data: bytes) -> Iterator[tuple[int, tuple[int, int], bytes]]:
