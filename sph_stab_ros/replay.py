@@ -221,7 +221,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             summary = stabilize_recording(
                 recording, Stabilizer(config), sinks, args.max_frames,
                 lambda frames: tqdm(frames, total=total, unit=' frames', disable=None), imu,
-                pictures=args.out is not None, watch=PictureWatch(config.projection))
+                pictures=args.out is not None, watch=PictureWatch(config))
         for line in report(summary, config, time.perf_counter() - start_s):
             print(line)
         if args.out and args.out.suffix and summary.colour and summary.colour.assumed:

@@ -72,7 +72,8 @@ PLAY = """async ([files, size, look, loseAfter]) => {
         if (n + 1 === loseAfter) {
             lose(place.firstElementChild);
             await new Promise(done => setTimeout(done, 300));
-            shown.push([renderer.draw(matrix(fromYawPitch(yaw, pitch)), fov), renderer.slow, drawn]);
+            const seen = renderer.draw(matrix(fromYawPitch(yaw, pitch)), fov);
+            shown.push([seen, renderer.slow, drawn]);
         }
     }
     return [reasons, shown];
