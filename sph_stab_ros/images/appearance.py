@@ -72,7 +72,7 @@ class Ellipse(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a picture looks like, and how wide circles or a sphere are for their height, 1 if right."""
+    """What a picture looks like, and how wide circles or a sphere are for their height."""
 
     appearance: Appearance
     squeezed: float = 1.
