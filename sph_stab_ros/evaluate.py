@@ -66,7 +66,7 @@ def evaluate(args: Namespace, configs: Configs) -> None:
     """Do what the command line says."""
     recording = open_given(args)
     config = next(iter(configs.values()))
-    watch = PictureWatch(config.projection)
+    watch = PictureWatch(config)
     spheres = Stitched(recording, config, watch)
     frames = frames_to_read(recording, args.max_frames)
     if args.plots:

@@ -92,7 +92,7 @@ class Player:
         self._node = node
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
-        self._watch = PictureWatch(config.projection)
+        self._watch = PictureWatch(config)
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
         recorded = recording.topics[topic] if topic else ''

@@ -229,7 +229,7 @@ def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Sum
         summary = stabilize_recording(
             recording, Stabilizer(config), sinks, args.max_frames,
             lambda frames: progress(frames, total), imu, pictures=args.out is not None,
-            watch=PictureWatch(config.projection))
+            watch=PictureWatch(config))
     lines = list(report(summary, config, time.perf_counter() - start_s))
     if args.out and args.out.suffix and summary.colour and summary.colour.assumed:
         lines.append(f'colours are taken to be of {summary.colour.assumed}: no tag says so')

@@ -53,7 +53,7 @@ class Stitched:
         self._recording = recording
         self._config = config
         self._skip_log = SkipLog(recording.name)
-        self._watch = watch or PictureWatch(config.projection)
+        self._watch = watch or PictureWatch(config)
         self.name = recording.name
         self.topics = recording.topics
         self.image_topic = recording.image_topic

@@ -10,10 +10,13 @@
 
 from typing import Any
 
-from sph_stab_ros.config import DUAL_FISHEYE, EQUIRECT
+from sph_stab_ros.config import (
+    DUAL_FISHEYE, EQUIRECT, FISHEYE, HALF_SPHERE, LEFT_RIGHT, StabilizerConfig, STRETCHED_EQUIRECT,
+    TOP_BOTTOM, VR180)
+from sph_stab_ros.images.appearance import Appearance, reduced, Seen, seen_in, SIDE_PX
 from sph_stab_ros.images.frame import Frame, frame_from_message
 from sph_stab_ros.images.image_error import ImageError
-from sph_stab_ros.images.picture_kind import is_about, PictureKind, reduced, Seen, seen_in, SIDE_PX
+from sph_stab_ros.images.sphere import as_sphere
 
 # Which pictures are looked at: the first ones, and of the others one of so many.
 FIRST, SELDOM = 3, 100
@@ -21,31 +24,33 @@ FIRST, SELDOM = 3, 100
 AGREEING = 3
 # Circles are not found more exactly.
 MAX_SQUEEZED = 0.05
-BY_CALIBRATION = "-p projection:=dual_fisheye reads them, by the lenses' calibration in fisheye.*"
-ADVICE = {
-    PictureKind.FISHEYE: 'convert them to equirectangular ones',
-    PictureKind.STEREO: 'crop one of the two out of them',
-    PictureKind.HALF_SPHERE: 'pad them to 2:1 with black on both sides',
-    PictureKind.SQUEEZED: 'scale them to {scaled}',
-    PictureKind.BORDERS: 'crop the borders away',
-}
+READ_BY = {
+    Appearance.TWO_FISHEYES: f"projection:={DUAL_FISHEYE} reads them, by the lenses' calibration "
+    'in fisheye.*',
+    Appearance.FISHEYE: f"projection:={FISHEYE} reads them, by the lens's calibration in "
+    'fisheye.*',
+    Appearance.SQUEEZED: f'projection:={STRETCHED_EQUIRECT} reads them',
+    Appearance.TOP_BOTTOM: f'layout:={TOP_BOTTOM} reads them',
+    Appearance.LEFT_RIGHT: f'layout:={LEFT_RIGHT} reads them',
+    Appearance.VR180: f'layout:={VR180} reads them',
+    Appearance.HALF_SPHERE: f'layout:={HALF_SPHERE} reads them'}
 
 
 class PictureWatch:
     """
-    Tells what pictures seem to be where that is not what their projection says.
+    Tells what pictures seem to be where that is not what their config says.
 
     ``hint`` is the line about it, '' as long as there is none.
 
     Parameters
     ----------
-    projection : str
-        What they are taken for, of ``config.PROJECTIONS``; may be set to another one.
+    config : StabilizerConfig
+        What they are taken for; may be set to another one.
 
     """
 
-    def __init__(self, projection: str = EQUIRECT) -> None:
-        self.projection = projection
+    def __init__(self, config: StabilizerConfig = StabilizerConfig()) -> None:
+        self.config = config
         self.hint = ''
         self._number = -1
         self._last, self._looks = '', 0
@@ -62,11 +67,13 @@ class PictureWatch:
         if self._number >= FIRST and self._number % SELDOM:
             return ''
         try:
-            frame = picture if isinstance(picture, Frame) else frame_from_message(picture, 0)
+            frame = as_sphere(
+                picture if isinstance(picture, Frame) else frame_from_message(picture, 0),
+                self.config)
             seen = seen_in(reduced(frame.grey(SIDE_PX)))
         except ImageError:
             return ''
-        hint = hint_of(seen, frame.size_wh, self.projection) if seen else ''
+        hint = hint_of(seen, self.config.projection) if seen else ''
         self._looks = self._looks + 1 if hint == self._last else 1
         self._last = hint
         if self._looks >= AGREEING:
@@ -77,18 +84,15 @@ class PictureWatch:
         return ''
 
 
-def hint_of(seen: Seen, size_wh: tuple[int, int], projection: str) -> str:
-    """Return which option reads pictures (width, height), or what makes spheres of them."""
-    width, height = size_wh
-    what = f'the pictures look like {seen.layout.value}'
-    right_height = height * seen.squeezed
-    # Circles are not found to the pixel.
-    scaled = f'{width}x{width // 2 if is_about(width / right_height, 2) else round(right_height)}'
-    if seen.layout is not PictureKind.TWO_FISHEYES:
-        # Of two lenses the calibration says more than can be seen.
-        return '' if projection == DUAL_FISHEYE else (
-            f'{what}, which no option reads: {ADVICE[seen.layout].format(scaled=scaled)} first')
-    if abs(seen.squeezed - 1) > MAX_SQUEEZED:
-        return (f'{what}, squeezed: scale them to {scaled}' +
-                ('' if projection == DUAL_FISHEYE else f', then {BY_CALIBRATION}'))
-    return '' if projection == DUAL_FISHEYE else f'{what}: {BY_CALIBRATION}'
+def hint_of(seen: Seen, projection: str) -> str:
+    """Return which option reads pictures, or what makes spheres of them."""
+    if projection != EQUIRECT:
+        # Whoever has chosen another one knows more than can be seen.
+        return ''
+    what = f'the pictures look like {seen.appearance.value}'
+    if seen.appearance not in READ_BY:
+        return f'{what}, which no option reads: crop the borders away first'
+    is_squeezed = (seen.appearance is Appearance.TWO_FISHEYES
+                   and abs(seen.squeezed - 1) > MAX_SQUEEZED)
+    return (f'{what}: -p {READ_BY[seen.appearance]}'
+            + (', with -p fisheye.stretched:=true as they are squeezed' if is_squeezed else ''))

@@ -17,6 +17,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 import numpy as np
 
+from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.geometry.arrays import Covariance, Mask, Vector
 from sph_stab_ros.geometry.masks import share_of_sphere
 from sph_stab_ros.images.frame import Frame
@@ -73,9 +74,9 @@ class Diagnostics:
         self._watch = PictureWatch()
         self._start_period()
 
-    def look_at(self, frame: Frame, projection: str) -> None:
+    def look_at(self, frame: Frame, config: StabilizerConfig) -> None:
         """Say what pictures seem to be that are taken for what they are not; of some Frames."""
-        self._watch.projection = projection
+        self._watch.config = config
         hint = self._watch.look(frame)
         if hint:
             self.event('other_pictures', hint)

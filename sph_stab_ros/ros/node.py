@@ -205,7 +205,7 @@ class StabilizerNode(Node):
             frame = image.frame(times)
             if self._outputs.pictures_wanted:
                 frame.load()
-            self._diagnostics.look_at(frame, self._settings.config.projection)
+            self._diagnostics.look_at(frame, self._settings.config)
         with cpu.stage('imu'):
             self._imu.collect()
         with cpu.stage('track'):

@@ -49,13 +49,15 @@ MIN_ALIKE_AT_ALL = 0.2
 BLOCK_PX, MAX_DISPARITY_PX, MIN_CONTRAST, MIN_BLOCKS = 16, 6, 4., 8
 
 
-class PictureKind(Enum):
+class Appearance(Enum):
     """What pictures may look like that are not one whole sphere each."""
 
     TWO_FISHEYES = 'those of two fisheye lenses'
     FISHEYE = 'those of one fisheye lens'
-    STEREO = 'two of the same, one for each eye'
-    HALF_SPHERE = 'those of half a sphere'
+    TOP_BOTTOM = 'two spheres above each other, for two eyes'
+    LEFT_RIGHT = 'two spheres side by side, for two eyes'
+    VR180 = 'two halves of spheres, for two eyes'
+    HALF_SPHERE = 'half a sphere'
     SQUEEZED = 'spheres that are not twice as wide as high'
     BORDERS = 'spheres within black borders'
 
@@ -70,9 +72,9 @@ class Ellipse(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A layout, and how wide its circles or its sphere are for their height; 1 where right."""
+    """What a picture looks like, and how wide circles or a sphere are for their height."""
 
-    layout: PictureKind
+    appearance: Appearance
     squeezed: float = 1.
 
 
@@ -96,15 +98,18 @@ def seen_in(grey: Grey) -> Seen | None:
     if found is not None:
         # The lower picture of two is found on its side.
         squeezed = found.radius_u / found.radius_v
-        return Seen(PictureKind.TWO_FISHEYES, squeezed if circles[0] else 1 / squeezed)
+        return Seen(Appearance.TWO_FISHEYES, squeezed if circles[0] else 1 / squeezed)
     circle = ellipse_in(grey > BLACK)
     if circle is not None and fills(circle, grey):
-        return Seen(PictureKind.FISHEYE, circle.radius_u / circle.radius_v)
-    if any(alike(*pair) for pair in (halves[0], (grey[:height // 2], grey[-(height // 2):]))):
-        return Seen(PictureKind.STEREO)
+        return Seen(Appearance.FISHEYE, circle.radius_u / circle.radius_v)
+    if alike(*halves[0]):
+        is_whole = is_about(width / height, 4) or has_seam(halves[0][0])
+        return Seen(Appearance.LEFT_RIGHT if is_whole else Appearance.VR180)
+    if alike(grey[:height // 2], grey[-(height // 2):]):
+        return Seen(Appearance.TOP_BOTTOM)
     if is_about(width / height, 2) and are_two_pictures(grey) or (
             is_about(height / width, 2) and are_two_pictures(grey.T)):
-        return Seen(PictureKind.TWO_FISHEYES)
+        return Seen(Appearance.TWO_FISHEYES)
     return _seen_in_borders(grey)
 
 
@@ -122,13 +127,13 @@ def _seen_in_borders(grey: Grey) -> Seen | None:
         # Rows without a pole, or the back of a camera, may well be black in a sphere.
         enclosed = left > 0 and right < grey.shape[1]
         usual = is_about(aspect, 2) or is_about(aspect, 16 / 9)
-        return Seen(PictureKind.BORDERS) if enclosed and usual and whole else None
+        return Seen(Appearance.BORDERS) if enclosed and usual and whole else None
     if inner.shape != grey.shape and is_about(aspect, 2):
-        return Seen(PictureKind.BORDERS)
+        return Seen(Appearance.BORDERS)
     if whole:
-        return Seen(PictureKind.SQUEEZED, aspect / 2)
+        return Seen(Appearance.SQUEEZED, aspect / 2)
     if is_about(aspect, 1) and has_poles(inner):
-        return Seen(PictureKind.HALF_SPHERE)
+        return Seen(Appearance.HALF_SPHERE)
     return None
 
 

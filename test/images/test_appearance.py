@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.config import DUAL_FISHEYE, EQUIRECT, FisheyeConfig, LensConfig
+from sph_stab_ros.config import DUAL_FISHEYE, FisheyeConfig, LensConfig, StabilizerConfig
 from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.warp import rotate_equirect
+from sph_stab_ros.images.appearance import Appearance, reduced, Seen, seen_in
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_kind import PictureKind, reduced, Seen, seen_in
 from sph_stab_ros.images.picture_watch import AGREEING, FIRST, PictureWatch, SELDOM
 from sph_stab_ros.recording import open_recording
 from synthetic import textured_sphere
@@ -81,38 +81,38 @@ def half(sphere):
 
 
 OTHERS = {
-    'circles side by side': (fisheyes, PictureKind.TWO_FISHEYES, 1),
+    'circles side by side': (fisheyes, Appearance.TWO_FISHEYES, 1),
     'circles above each other': (lambda s: np.vstack(np.hsplit(fisheyes(s), 2)),
-                                 PictureKind.TWO_FISHEYES, 1),
-    'a Theta S': (lambda s: fisheye_picture(s, FisheyeConfig()), PictureKind.TWO_FISHEYES, 1),
+                                 Appearance.TWO_FISHEYES, 1),
+    'a Theta S': (lambda s: fisheye_picture(s, FisheyeConfig()), Appearance.TWO_FISHEYES, 1),
     'circles squeezed to 16:9': (lambda s: scaled(fisheyes(s), 640, 360),
-                                 PictureKind.TWO_FISHEYES, 8 / 9),
-    'lenses without circles': (without_corners, PictureKind.TWO_FISHEYES, 1),
-    'one circle': (lambda s: np.hsplit(fisheyes(s), 2)[0], PictureKind.FISHEYE, 1),
+                                 Appearance.TWO_FISHEYES, 8 / 9),
+    'lenses without circles': (without_corners, Appearance.TWO_FISHEYES, 1),
+    'one circle': (lambda s: np.hsplit(fisheyes(s), 2)[0], Appearance.FISHEYE, 1),
     'one circle in 16:9': (lambda s: framed(np.hsplit(fisheyes(s), 2)[0], 570, 320),
-                           PictureKind.FISHEYE, 1),
+                           Appearance.FISHEYE, 1),
     'one circle in 2:1': (lambda s: framed(np.hsplit(fisheyes(s), 2)[0], 640, 320),
-                          PictureKind.FISHEYE, 1),
-    'eyes above each other': (lambda s: np.vstack(eyes(s)), PictureKind.STEREO, 1),
+                          Appearance.FISHEYE, 1),
+    'eyes above each other': (lambda s: np.vstack(eyes(s)), Appearance.TOP_BOTTOM, 1),
     'eyes above each other in 2:1': (lambda s: scaled(np.vstack(eyes(s)), 640, 320),
-                                     PictureKind.STEREO, 1),
-    'eyes side by side': (lambda s: np.hstack(eyes(s)), PictureKind.STEREO, 1),
+                                     Appearance.TOP_BOTTOM, 1),
+    'eyes side by side': (lambda s: np.hstack(eyes(s)), Appearance.LEFT_RIGHT, 1),
     'eyes side by side in 2:1': (lambda s: scaled(np.hstack(eyes(s)), 640, 320),
-                                 PictureKind.STEREO, 1),
-    'VR180': (lambda s: np.hstack([half(eye) for eye in eyes(s)]), PictureKind.STEREO, 1),
-    'a letterbox': (lambda s: framed(s, 640, 360), PictureKind.BORDERS, 1),
-    'borders all around': (lambda s: framed(scaled(s, 600, 300), 640, 320), PictureKind.BORDERS, 1),
-    'a sphere squeezed to 16:9': (lambda s: scaled(s, 640, 360), PictureKind.SQUEEZED, 8 / 9),
-    'half a sphere': (half, PictureKind.HALF_SPHERE, 1),
+                                 Appearance.LEFT_RIGHT, 1),
+    'VR180': (lambda s: np.hstack([half(eye) for eye in eyes(s)]), Appearance.VR180, 1),
+    'a letterbox': (lambda s: framed(s, 640, 360), Appearance.BORDERS, 1),
+    'borders all around': (lambda s: framed(scaled(s, 600, 300), 640, 320), Appearance.BORDERS, 1),
+    'a sphere squeezed to 16:9': (lambda s: scaled(s, 640, 360), Appearance.SQUEEZED, 8 / 9),
+    'half a sphere': (half, Appearance.HALF_SPHERE, 1),
 }
 
 
 @pytest.mark.parametrize('kind', OTHERS)
 def test_what_is_no_sphere_is_found_out(worlds, kind):
-    change, layout, squeezed = OTHERS[kind]
+    change, appearance, squeezed = OTHERS[kind]
     for world in worlds:
         seen = seen_in(reduced(change(world)))
-        assert seen is not None and seen.layout is layout
+        assert seen is not None and seen.appearance is appearance
         assert seen.squeezed == pytest.approx(squeezed, abs=0.04)
 
 
@@ -185,9 +185,9 @@ def test_no_sphere_in_footage_is_taken_for_anything_else(shared_data):
 
 
 @pytest.mark.parametrize('name, expected', [
-    ('reports/dual_fisheye_as_equirect/VID_00_001.insv', Seen(PictureKind.TWO_FISHEYES)),
-    ('gear360_road/fallback.mp4', Seen(PictureKind.TWO_FISHEYES, 8 / 9)),
-    ('reports/vr180/vr180_tagged_v2.mp4', Seen(PictureKind.STEREO)),
+    ('reports/dual_fisheye_as_equirect/VID_00_001.insv', Seen(Appearance.TWO_FISHEYES)),
+    ('gear360_road/fallback.mp4', Seen(Appearance.TWO_FISHEYES, 8 / 9)),
+    ('reports/vr180/vr180_tagged_v2.mp4', Seen(Appearance.VR180)),
     ('reports/colour/bars709.mp4', None),
     ('tripod/cave.mp4', None),
 ])
@@ -197,7 +197,7 @@ def test_footage_of_the_field(shared_data, name, expected):
         pytest.skip(f'no {name} beside the checkout')
     for _, frame in zip(range(3), open_recording(shared_data / name).frames()):
         seen = seen_in(reduced(frame.image))
-        assert (seen and seen.layout) is (expected and expected.layout)
+        assert (seen and seen.appearance) is (expected and expected.appearance)
         assert seen is None or seen.squeezed == pytest.approx(expected.squeezed, abs=0.01)
 
 
@@ -222,18 +222,26 @@ def test_a_picture_between_others_is_not_believed(worlds):
 
 
 def test_circles_are_what_they_are_said_to_be(worlds):
-    circles = fisheyes(worlds[0])
-    assert not any(hints(PictureWatch(DUAL_FISHEYE), [circles] * 3))
-    squeezed = hints(PictureWatch(DUAL_FISHEYE), [scaled(circles, 640, 360)] * 3)[-1]
-    assert squeezed.endswith('squeezed: scale them to 640x320')
-    assert '640x320, then -p projection:=dual_fisheye' in hints(
-        PictureWatch(EQUIRECT), [scaled(circles, 640, 360)] * 3)[-1]
+    circles, said = fisheyes(worlds[0]), StabilizerConfig(projection=DUAL_FISHEYE)
+    assert not any(hints(PictureWatch(said), [circles] * 3))
+    squeezed = [scaled(circles, 640, 360)] * 3
+    assert not any(hints(PictureWatch(said), squeezed))
+    assert 'with -p fisheye.stretched:=true' in hints(PictureWatch(), squeezed)[-1]
+
+
+@pytest.mark.parametrize('kind, layout', [
+    ('eyes above each other', 'top_bottom'), ('eyes side by side in 2:1', 'left_right'),
+    ('VR180', 'vr180'), ('half a sphere', 'half_sphere')])
+def test_the_option_that_is_named_reads_them(worlds, kind, layout):
+    change, *_ = OTHERS[kind]
+    hint = hints(PictureWatch(), [change(worlds[0])] * 3)[-1]
+    assert hint.endswith(f'-p layout:={layout} reads them')
+    assert not any(hints(PictureWatch(StabilizerConfig(layout=layout)), [change(worlds[0])] * 3))
 
 
 @pytest.mark.parametrize('kind, advice', [
-    ('one circle', 'no option reads: convert'), ('VR180', 'no option reads: crop one'),
-    ('half a sphere', 'pad them to 2:1'), ('a letterbox', 'crop the borders'),
-    ('a sphere squeezed to 16:9', 'scale them to 640x320 first'),
+    ('one circle', '-p projection:=fisheye reads them'), ('a letterbox', 'crop the borders'),
+    ('a sphere squeezed to 16:9', '-p projection:=stretched_equirect reads them'),
 ])
 def test_the_line_says_what_to_do(worlds, kind, advice):
     change, *_ = OTHERS[kind]
