@@ -14,18 +14,22 @@ import pytest
 from tiny_recordings import turning_spheres, write_bag, write_video
 
 try:
-    from hypothesis import settings
+    from hypothesis import HealthCheck, settings
 except ImportError:
     pass
 else:
     # The same examples every time, however slow the machine is.
     settings.register_profile('repeatable', deadline=None, derandomize=True)
+    # Of ``make fuzz``, which keeps what fails itself.
+    settings.register_profile('fuzz', deadline=None, max_examples=400, database=None,
+                              suppress_health_check=list(HealthCheck))
     settings.load_profile('repeatable')
 
 TEST = Path(__file__).resolve().parent
 # What is marked in each; other tests bear their marks themselves.
 FOLDER_MARKERS = {
     'ros': pytest.mark.ros,
+    'fuzz': pytest.mark.thorough,
     'operator/test_operator_robot.py': pytest.mark.ros,
     'operator/test_operator_page.py': pytest.mark.browser,
     'operator/test_operator_graphics.py': pytest.mark.browser,
