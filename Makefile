@@ -18,7 +18,7 @@ unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
-.PHONY: help setup demo test test-fast test-slow test-oldest coverage ledger evaluation
+.PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
 .PHONY: evaluation-real evaluation-hard company evaluation-company benchmark benchmark-company
 .PHONY: benchmark-ros soak frames bags hard-frames hard constraints
 .PHONY: packages clean
@@ -41,6 +41,12 @@ test: setup  ## Run all tests but the slow ones, in eight minutes
 
 test-slow: setup  ## Run the slow tests
 	$(PY) -m pytest -m slow
+
+FUZZ_SECONDS ?= 600
+FUZZ_JOBS ?= $(shell nproc)
+
+fuzz: setup  ## Damage inputs in new ways for FUZZ_SECONDS; what fails stays in results/fuzz
+	OMP_NUM_THREADS=1 $(PY) test/support/run_fuzz.py --seconds $(FUZZ_SECONDS) --jobs $(FUZZ_JOBS)
 
 # Processes that tests start are measured too; their files stay out of the way of the sources.
 coverage: export COVERAGE_FILE = $(CURDIR)/results/coverage/data

@@ -36,7 +36,7 @@ from rclpy.utilities import remove_ros_args
 
 from sensor_msgs.msg import CompressedImage, Image
 
-from sph_stab_ros.command_line import Parser
+from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
@@ -275,10 +275,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except RCLError as error:
         # Publishing while ROS ends is no failure.
         if rclpy.ok():
-            print(f'player: {error}', file=sys.stderr)
+            print(f'player: {one_line(error)}', file=sys.stderr)
             return 1
     except RecordingError as error:
-        print(f'player: {error}', file=sys.stderr)
+        print(f'player: {one_line(error)}', file=sys.stderr)
         return 1
     finally:
         with bounded_ending():

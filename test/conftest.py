@@ -14,12 +14,15 @@ import pytest
 from tiny_recordings import turning_spheres, write_bag, write_video
 
 try:
-    from hypothesis import settings
+    from hypothesis import HealthCheck, settings
 except ImportError:
     pass
 else:
     # The same examples every time, however slow the machine is.
     settings.register_profile('repeatable', deadline=None, derandomize=True)
+    # Of ``make fuzz``, which keeps what fails itself.
+    settings.register_profile('fuzz', deadline=None, max_examples=400, database=None,
+                              suppress_health_check=list(HealthCheck))
     settings.load_profile('repeatable')
 
 TEST = Path(__file__).resolve().parent
@@ -27,6 +30,7 @@ TEST = Path(__file__).resolve().parent
 FOLDER_MARKERS = {
     'ros': pytest.mark.ros,
     'operator/test_operator_command_line.py': pytest.mark.ros,
+    'fuzz': pytest.mark.thorough,
     'operator/test_operator_robot.py': pytest.mark.ros,
     'operator/test_operator_connection.py': pytest.mark.browser,
     'operator/test_operator_page.py': pytest.mark.browser,

@@ -27,7 +27,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
-        self.exit(2, f'{self.prog}: {message}\n')
+        self.exit(2, f'{self.prog}: {one_line(message)}\n')
 
 
 def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
@@ -89,13 +89,29 @@ def _seconds(text: str) -> float:
     return seconds
 
 
+def one_line(text: object) -> str:
+    """Return a text as it can be printed in a line, whatever names of files and topics hold."""
+    return ''.join(one if one.isprintable() else one.encode('unicode_escape').decode()
+                   for one in str(text))
+
+
+class OneLine(logging.Formatter):
+    """Logs each message in a line of its own."""
+
+    def format(self, record: logging.LogRecord) -> str:  # noqa: A003
+        """Return the line."""
+        return one_line(super().format(record))
+
+
 def run(name: str, command: Callable[[], object]) -> int:
     """
     Return the exit status of ``command()``: 0, or 1 after a line on stderr.
 
     Warnings of the library go to stderr. SIGTERM ends the command as Ctrl-C does.
     """
-    logging.basicConfig(format=f'{name}: %(message)s', level=logging.WARNING, stream=sys.stderr)
+    handler = logging.StreamHandler()
+    handler.setFormatter(OneLine(f'{name}: %(message)s'))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     # SIGINT too: what a script starts in the background would ignore it.
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, signal.default_int_handler)
@@ -103,7 +119,7 @@ def run(name: str, command: Callable[[], object]) -> int:
     try:
         command()
     except RecordingError as error:
-        print(f'{name}: {error}', file=sys.stderr)
+        print(f'{name}: {one_line(error)}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f'{name}: interrupted', file=sys.stderr)

@@ -132,7 +132,9 @@ class ShakenStabilizer:
     def process(self, frame: Frame) -> StabilizedFrame:
         """Process a Frame twice; return the StabilizedFrame of the shaken one."""
         R_camera_shaken, image = self._R_camera_shaken[len(self._R_world_camera)], frame.image
-        self._R_world_camera.append(self._clip.process(frame).R_world_camera)
+        # Both are made grey of the same colours: a video's own luma may be another.
+        clip = self._clip.process(replace(frame, source=image))
+        self._R_world_camera.append(clip.R_world_camera)
         width = image.shape[1]
         # What is not seen stays black, too.
         world = common(load_mask(self._body, width),

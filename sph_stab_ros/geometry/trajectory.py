@@ -8,8 +8,9 @@
 
 """Stamped orientations: interpolation, and files in the TUM format."""
 
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 import logging
+import math
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,10 @@ from sph_stab_ros.geometry.arrays import Choice
 from sph_stab_ros.geometry.conventions import NS_PER_S
 
 logger = logging.getLogger(__name__)
+
+MAX_STAMP_NS = 2**63 - 1
+# Its square must still be one.
+MIN_NORM = 1e-100
 
 
 class Trajectory:
@@ -92,18 +97,26 @@ def read_tum(path: str | Path) -> Trajectory:
     stamps_ns: list[int] = []
     quaternions: list[list[float]] = []
     left_out = 0
-    for number, line in enumerate(Path(path).read_text().splitlines(), 1):
+    try:
+        text = Path(path).read_text()
+    except UnicodeDecodeError:
+        raise ValueError(f'{path} is not a text') from None
+    for number, line in enumerate(text.splitlines(), 1):
         fields = line.split('#')[0].split()
         if not fields:
             continue
         try:
             stamp, _, _, _, *numbers = fields
-            stamp_ns = int(Decimal(stamp) * NS_PER_S)
+            exact_ns = Decimal(stamp) * NS_PER_S
             quaternion = [float(q) for q in numbers]
-        except (ValueError, InvalidOperation):
-            quaternion = []
-        if len(quaternion) != 4:
+            # Before it becomes a number of a billion digits.
+            is_right = abs(exact_ns) <= MAX_STAMP_NS and len(quaternion) == 4 and (
+                MIN_NORM < math.hypot(*quaternion) < math.inf)
+        except (ValueError, ArithmeticError):
+            is_right = False
+        if not is_right:
             raise ValueError(f'{path}, line {number}: not "stamp x y z qx qy qz qw"')
+        stamp_ns = int(exact_ns)
         if stamps_ns and stamp_ns <= stamps_ns[-1]:
             left_out += 1
             continue

@@ -50,7 +50,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import uninstall_signal_handlers
 from rclpy.utilities import remove_ros_args
-from sph_stab_ros.command_line import Parser
+from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.process_setup import (
     bounded_ending, give_back_freed_memory, set_up_process)
 from sph_stab_ros.config import ConfigError, IMU
@@ -261,7 +261,7 @@ def run(args: list[str] | None = None) -> int:
         set_up_process()
         rclpy.init(args=args)
     except RuntimeError as error:
-        print(f'stabilizer: cannot start: {error}', file=sys.stderr)
+        print(f'stabilizer: cannot start: {one_line(error)}', file=sys.stderr)
         return 2
     # Two workers share the interpreter: each call that gives it away would wait 5 ms for another.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
@@ -278,7 +278,7 @@ def run(args: list[str] | None = None) -> int:
         if rclpy.ok():
             if node:
                 raise
-            print(f'stabilizer: cannot start: {error}', file=sys.stderr)
+            print(f'stabilizer: cannot start: {one_line(error)}', file=sys.stderr)
             return 2
     finally:
         # It is ending: rclpy's handler would touch what is freed meanwhile.
