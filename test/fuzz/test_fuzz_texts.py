@@ -30,7 +30,7 @@ from sph_stab_ros.operator.protocol import COMMANDS, parse_command, ProtocolErro
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.replay import arguments
 
-YAML = '''
+YAML = """
 /robot:
   stabilizer:
     ros__parameters: {views: [view, rear], level: imu, imu.roll_deg: 1e1}
@@ -38,7 +38,7 @@ YAML = '''
   ros__parameters:
     view: {yaw_deg: -90., pitch_deg: 010, width: 0x280}
     mask: "lat:-90,-62"
-'''
+"""
 COMMAND_TEXTS = [json.dumps({'type': 'look', 'direction': [0, 0, 0, 1]}),
                  json.dumps({'type': 'drawn', 'sequence': 5}),
                  json.dumps({'type': 'set_mode', 'mode': 'lock'})]
@@ -155,7 +155,8 @@ NUMBERS = st.lists(st.one_of(
 @examples(200)
 def test_arguments(text):
     with tried('argument', text):
-        for read, known in ((mount_argument, ArgumentTypeError), (clock_argument, ArgumentTypeError),
+        for read, known in ((mount_argument, ArgumentTypeError),
+                            (clock_argument, ArgumentTypeError),
                             (frames_argument, ArgumentTypeError),
                             (lambda text: load_mask(text, 128), MaskError)):
             try:
