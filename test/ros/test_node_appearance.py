@@ -51,8 +51,8 @@ def test_pictures_that_are_refused_are_told_of_too(tmp_path, circles):
         for number, stamp_ns in enumerate(stamps_of(4), 1):
             peer.send(cv2.resize(circles, (640, 360)), stamp_ns)
             values = peer.diagnostics(lambda values: values['refused'] == str(number))
-        assert re.match('images are refused: not 2:1: the pictures look like .* 640x320, then '
-                        + READ_BY, values['message'])
+        assert re.match(f'images are refused: not 2:1: the pictures look like .*: {READ_BY}.*'
+                        '-p fisheye.stretched:=true', values['message'])
 
 
 def test_spheres_are_not_warned_of(tmp_path):
