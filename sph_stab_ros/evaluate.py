@@ -55,6 +55,8 @@ WITHOUT_FLOW = (ANCHORED, 'pts')
 # Turns of truth and estimate that differ by more do not belong together.
 MAX_RESIDUAL_RATIO = 1 / 3
 MIN_DOUBTED_RAD = np.deg2rad(1)
+# A day at 60 frames a second: what is said to be longer is not known.
+MOST_INJECTED = 24 * 3600 * 60
 
 # By the name of the estimator, or of estimator and flow.
 Configs: TypeAlias = Mapping[str, StabilizerConfig]
@@ -126,9 +128,10 @@ def by_truth(args: Namespace, recording: Recording, configs: Configs,
 def by_injection(args: Namespace, spheres: Stitched, configs: Configs, frames: int | None,
                  progress: Progress) -> Evaluation:
     """Return what to say about the injection, and Errors and figures by estimator."""
-    if frames is None or frames < 2:
-        raise EvaluationError('--inject needs two frames or more'
-                              if frames else 'unknown length, add --max-frames N')
+    if frames is None or frames > MOST_INJECTED:
+        raise EvaluationError('unknown length, add --max-frames N')
+    if frames < 2:
+        raise EvaluationError('--inject needs two frames or more')
     if not spheres.shows_all():
         # The edge of what is seen would turn with the world, and be tracked.
         raise EvaluationError('--inject needs pictures of the whole sphere')

@@ -24,6 +24,8 @@ from sph_stab_ros.config.schema import NODE_PARAMETERS
 
 NODE = 'stabilizer'
 PARAMETERS = 'ros__parameters'
+# Somebody may give a recording instead.
+MOST_BYTES = 2**20
 
 HEADER = """\
 # Copyright 2026 The sph_stab_ros developers
@@ -88,6 +90,8 @@ def read_parameter_files(paths: Iterable[Path]) -> dict[str, tuple[str, Any]]:
 def _own(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Return the sections of a file that are for the node: names and mappings."""
     try:
+        if path.is_file() and path.stat().st_size > MOST_BYTES:
+            raise ConfigError('no file of parameters is that large')
         content = parse_yaml(path.read_text())
         sections = [(name, parameters) for name, parameters in _sections(content or {})
                     if name.rpartition('/')[-1] in (NODE, '*', '**')]

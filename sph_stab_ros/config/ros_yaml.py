@@ -15,6 +15,7 @@ is a text always.
 
 import re
 from typing import Any
+import warnings
 
 from sph_stab_ros.config.options import ConfigError
 
@@ -26,6 +27,8 @@ DECIMAL = re.compile(r'[-+]?(0|[1-9][0-9]*)')
 FRACTION = re.compile(r'[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?')
 NO_NUMBER = re.compile(r'[-+]?\.?(inf|Inf|INF|nan|NaN|NAN)')
 INT64_LIMIT = 2**63
+# With zeros before it that say nothing.
+MOST_DIGITS = 100
 
 
 def parse_yaml(text: str) -> Any:
@@ -34,21 +37,35 @@ def parse_yaml(text: str) -> Any:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
     try:
-        node = YAML(typ='safe', pure=True).compose(text)
+        with warnings.catch_warnings():
+            # Anchors of one name, in several lines.
+            warnings.simplefilter('ignore')
+            node = YAML(typ='safe', pure=True).compose(text)
+        return None if node is None else _value(node, set())
     except YAMLError as error:
         mark = getattr(error, 'problem_mark', None)
         raise ConfigError(f'not YAML in line {mark.line + 1}' if mark else 'not YAML') from None
-    return None if node is None else _value(node)
+    except RecursionError:
+        raise ConfigError('nested too deeply') from None
 
 
-def _value(node: Any) -> Any:
-    """Return the value of a node of the composed tree."""
+def _value(node: Any, known: set[int]) -> Any:
+    """Return the value of a node of the composed tree; ``known`` are the ids of those before."""
+    if id(node) in known:
+        raise ConfigError(f'an alias of line {node.start_mark.line + 1}, which ROS does not read')
+    known.add(id(node))
     if node.id == 'scalar':
         return _scalar(node)
     if node.id == 'sequence':
-        return [_value(item) for item in node.value]
+        return [_value(item, known) for item in node.value]
     # As in ROS the last one counts of a key's values.
-    return {str(key.value): _value(value) for key, value in node.value}
+    return {_key(key): _value(value, known) for key, value in node.value}
+
+
+def _key(node: Any) -> str:
+    if node.id != 'scalar':
+        raise ConfigError(f'no name in line {node.start_mark.line + 1}')
+    return str(node.value)
 
 
 def _scalar(node: Any) -> str | bool | int | float:
@@ -60,7 +77,8 @@ def _scalar(node: Any) -> str | bool | int | float:
     if text in TRUE or text in FALSE:
         return text in TRUE
     for pattern, base in ((HEXADECIMAL, 16), (OCTAL, 8), (DECIMAL, 10)):
-        if pattern.fullmatch(text) and -INT64_LIMIT <= (number := int(text, base)) < INT64_LIMIT:
+        if (len(text) <= MOST_DIGITS and pattern.fullmatch(text)
+                and -INT64_LIMIT <= (number := int(text, base)) < INT64_LIMIT):
             return number
     if FRACTION.fullmatch(text):
         return float(text)

@@ -89,7 +89,7 @@ def _lenses(path: str) -> list[tuple[tuple[int, int], dict[str, float]]]:
         reason = f'no {error.args[0]} in it'
     except ConfigError as error:
         reason = str(error)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError):
         reason = 'numbers that are none'
     raise ConfigError(f"'{path}' cannot be read as a calibration: {reason}")
 

@@ -27,10 +27,11 @@ from numpy.typing import NDArray
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.image_error import ImageError as ImageError
+from sph_stab_ros.images.picture_size import (
+    JPEG as JPEG, PNG as PNG, refuse_too_much, START_OF_SCAN)
 from sph_stab_ros.images.raw import image_from_raw
 
 JPEG_QUALITY = 90
-JPEG, PNG = 'JPEG', 'PNG'
 SIGNATURES = {b'\xff\xd8': JPEG, b'\x89PNG\r\n\x1a\n': PNG}
 # In what senders write of the format: names of formats, encoders and decoders, with other words.
 VIDEO = re.compile(
@@ -38,7 +39,7 @@ VIDEO = re.compile(
 
 # Less than a block of pixels takes, but enough for a decoder to see the end of the last one.
 BEHIND_SCAN = bytes(16)
-START_OF_SCAN, END_OF_IMAGE = b'\xff\xda', b'\xff\xd9'
+END_OF_IMAGE = b'\xff\xd9'
 MISSING_GREY = 128
 
 
@@ -105,6 +106,8 @@ def whole_file(data: bytes, said: str = 'something else') -> tuple[bytes, str]:
     What is ``said`` of it is told where it is neither.
     """
     kind = kind_of_file(data)
+    if kind:
+        refuse_too_much(data, kind)
     if kind == JPEG:
         # Neither marker occurs within a scan, and a thumbnail precedes the last scan.
         scan = data.rfind(START_OF_SCAN)
@@ -143,12 +146,19 @@ def is_whole_scan(data: bytes, scan: int) -> bool:
 
 def reduced(data: bytes, flag: int) -> Image | None:
     """Return a smaller picture, or None where there is none."""
-    return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    try:
+        return decoded(data, JPEG, flag)
+    except ImageError:
+        return None
 
 
 def decoded(data: bytes, kind: str, flags: int = cv2.IMREAD_ANYCOLOR) -> Image:
     """Return the picture in a file (bytes) by flags of cv2.imdecode; ImageError names its kind."""
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    try:
+        image = cv2.imdecode(
+            np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        image = None
     if image is None:
         raise ImageError(f'corrupt {kind}', f'{len(data)} bytes cannot be decoded')
     return image

@@ -9,20 +9,18 @@
 """A picture in a JPEG file, of which only as much is decoded as somebody asks for."""
 
 from functools import cached_property
-from struct import error, unpack_from
 
 import cv2
 
 from sph_stab_ros.geometry.arrays import Grey, Image
 from sph_stab_ros.geometry.projection import to_grey
-from sph_stab_ros.images.codec import decoded, ImageError, JPEG
+from sph_stab_ros.images.codec import decoded, JPEG
+from sph_stab_ros.images.picture_size import jpeg_size
 
 # By how much a decoder can reduce on the way, which leaves out most of its work.
 REDUCED_GREY = {
     8: cv2.IMREAD_REDUCED_GRAYSCALE_8, 4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
     2: cv2.IMREAD_REDUCED_GRAYSCALE_2}
-# Start of frame, of all kinds of coding; tables that share their range are none.
-FRAME_HEADERS = {*range(0xc0, 0xd0)} - {0xc4, 0xc8, 0xcc}
 
 
 class JpegFile:
@@ -61,22 +59,3 @@ class JpegFile:
         if reduction is None or 'image' in vars(self):
             return to_grey(self.image)
         return decoded(self._data, JPEG, REDUCED_GREY[reduction])
-
-
-def jpeg_size(data: bytes) -> tuple[int, int]:
-    """Return width and height from the frame header of a JPEG file (ITU-T T.81, B.2.2)."""
-    # Behind the start of the image.
-    at = 2
-    try:
-        while True:
-            marker, length = unpack_from('>HH', data, at)
-            if marker == 0xffff:
-                # Any number of these may come before a marker.
-                at += 1
-            elif marker & 0xff in FRAME_HEADERS:
-                height, width = unpack_from('>HH', data, at + 5)
-                return width, height
-            else:
-                at += 2 + length
-    except error:
-        raise ImageError(f'corrupt {JPEG}', 'there is no frame header') from None

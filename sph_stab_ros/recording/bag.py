@@ -25,11 +25,14 @@ from sph_stab_ros.images.video.decoder import NO_KEY
 from sph_stab_ros.images.video.picture import VideoPicture
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.containers import Channel, Containers
+from sph_stab_ros.recording.containers.limits import Damage
 from sph_stab_ros.recording.message_types import decoded, IMAGE_TYPES, is_known
 from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times, within
 
 logger = logging.getLogger(__name__)
 
+# No robot's bag has more topics than fit a line that somebody reads.
+MOST_LISTED = 100
 # Drivers that stamp with zero until they have the time have it by then.
 MAX_UNSTAMPED = 300
 
@@ -136,7 +139,7 @@ class BagRecording:
                 raise RecordingError(f'{topic} in {self.path} is of type {msgtype} (encoded as '
                                      f'{channel.encoding}), which is not a standard one')
         count = 0
-        damage: list[str] = []
+        damage = Damage()
         for message in self._containers.messages(topic, damage):
             yield message
             count += 1
@@ -163,5 +166,6 @@ class BagRecording:
 
     def _listed(self) -> str:
         """Return the topics and their types in a line."""
-        return ', '.join(f'{topic} ({msgtype})' for topic, msgtype in sorted(self.topics.items())
-                         ) or 'no topics'
+        listed = [f'{topic} ({msgtype})' for topic, msgtype in sorted(self.topics.items())]
+        more = len(listed) - MOST_LISTED
+        return ', '.join(listed[:MOST_LISTED] + [f'{more} more'] * (more > 0)) or 'no topics'

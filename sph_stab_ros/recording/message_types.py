@@ -16,11 +16,12 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from rosbags.typesys.store import Typestore
 
 if sys.version_info >= (3, 14):
-    from compression import zstd
+    from compression.zstd import ZstdDecompressor
 else:
-    from backports import zstd
+    from backports.zstd import ZstdDecompressor
 
 from sph_stab_ros.recording.containers.kinds import ZSTD
+from sph_stab_ros.recording.containers.limits import unpacked
 from sph_stab_ros.recording.messages import (
     COMPRESSED_IMAGE, COMPRESSED_VIDEO, FFMPEG_PACKET, IMAGE, TRANSFORMS)
 
@@ -85,7 +86,7 @@ def decoded(data: bytes, msgtype: str, encoding: str) -> Any:
     store, decode = ENCODINGS[encoding]
     # The encapsulation that CDR data begin with is never this.
     if encoding == 'cdr' and data.startswith(ZSTD):
-        data = zstd.decompress(data)
+        data = unpacked(ZstdDecompressor(), data)
     deserialize = getattr(types_of(store), decode)
     try:
         return deserialize(data, msgtype)

@@ -24,6 +24,7 @@ from sph_stab_ros.config import ConfigError, FisheyeConfig, settings_of
 from sph_stab_ros.config.parameter_file import parameter_file, read_parameter_files
 from sph_stab_ros.config.ros_yaml import parse_yaml
 from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
+from sph_stab_ros.geometry import lens_file
 from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.geometry.trajectory import read_tum, tum_line
 from sph_stab_ros.operator.protocol import COMMANDS, parse_command, ProtocolError
@@ -116,6 +117,36 @@ def test_parameter_files(data):
                 read()
             except ConfigError as error:
                 assert is_one_line(error)
+
+
+ROS_LENS = b"""
+image_width: 640
+image_height: 480
+distortion_model: equidistant
+camera_matrix: {rows: 3, cols: 3, data: [200., 0, 320, 0, 200, 240, 0, 0, 1]}
+distortion_coefficients: {rows: 1, cols: 4, data: [0.01, -0.002, 0., 0]}
+"""
+KALIBR_LENSES = b"""
+cam0: {camera_model: pinhole, distortion_model: equidistant, distortion_coeffs: [0, 0, 0, 0],
+  intrinsics: [200, 200, 320, 240], resolution: [640, 480]}
+cam1: {camera_model: pinhole, distortion_model: equidistant, distortion_coeffs: [0, 0, 0, 0],
+  intrinsics: [200, 200, 320, 240], resolution: [640, 480],
+  T_cn_cnm1: [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]}
+"""
+
+
+@given(mutated(ROS_LENS, KALIBR_LENSES))
+@examples(150)
+def test_lens_files(data):
+    with tried('lenses', data):
+        path = written(data)
+        # It remembers the last ones.
+        lens_file._lenses.cache_clear()
+        lens_file.is_lens_file(path)
+        try:
+            lens_file.with_lens_file(FisheyeConfig(file=str(path)), (640, 480))
+        except ConfigError as error:
+            assert is_one_line(error)
 
 
 @given(st.text(max_size=80) | mutated(b'[a, 1, "b"]', b'{a: 1}').map(

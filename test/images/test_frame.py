@@ -18,7 +18,8 @@ import pytest
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.images.codec import decoded, encode_jpeg, image_from_compressed, ImageError
 from sph_stab_ros.images.frame import Frame, frame_from_message
-from sph_stab_ros.images.jpeg import jpeg_size, JpegFile
+from sph_stab_ros.images.jpeg import JpegFile
+from sph_stab_ros.images.picture_size import jpeg_size
 from tiny_recordings import textured_sphere
 
 PROGRESSIVE = cv2.IMWRITE_JPEG_PROGRESSIVE, 1

@@ -26,7 +26,9 @@ from threading import Lock
 import time
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = sorted((ROOT / 'test' / 'fuzz').glob('test_*.py'))
+# The laws of stamps are stated on random sequences, too.
+TESTS = [*sorted((ROOT / 'test' / 'fuzz').glob('test_fuzz_*.py')),
+         ROOT / 'test' / 'images' / 'test_times.py']
 # For so long an input may be tried.
 HANG_S = 120.
 # All that a process may map, libraries included.

@@ -19,12 +19,14 @@ from contextlib import suppress
 import logging
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
+import warnings
 
 from ruamel.yaml import YAML
 
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.containers.copies import Copies
 from sph_stab_ros.recording.containers.kinds import kind_of, refuse_if_known
+from sph_stab_ros.recording.containers.limits import Damage
 from sph_stab_ros.recording.containers.records import Channel, Message, Part
 
 __all__ = ['Channel', 'Containers', 'is_bag', 'Message']
@@ -32,6 +34,8 @@ __all__ = ['Channel', 'Containers', 'is_bag', 'Message']
 logger = logging.getLogger(__name__)
 
 METADATA = 'metadata.yaml'
+# Of the longest one there may be, with the definitions of all its messages.
+MOST_METADATA_BYTES = 2**26
 
 
 def is_bag(path: Path) -> bool:
@@ -55,7 +59,7 @@ class Containers:
     def __init__(self, path: Path) -> None:
         self.channels: Counter[Channel] = Counter()
         # What was broken before any message is read.
-        self._damage: list[str] = []
+        self._damage = Damage()
         self._copies = Copies()
         try:
             self._parts = self._opened(path)
@@ -97,10 +101,11 @@ class Containers:
     def _look_into(self, part: Part) -> 'Look':
         """Count a part's messages, and find when they begin."""
         counts = part.index()
-        channel, first_ns, _ = next(part.scan([]), (None, None, b''))
-        if counts is None or channel is not None and channel not in counts:
+        channel, first_ns, _ = next(part.scan(Damage()), (None, None, b''))
+        if (counts is None or channel is not None and channel not in counts
+                or counts.total() > part.path.stat().st_size):
             # There is no index, or it contradicts what it stands for.
-            counts = Counter(channel for channel, _, _ in part.scan([]))
+            counts = Counter(channel for channel, _, _ in part.scan(Damage()))
             counts.update(dict.fromkeys(part.channels(), 0))
         return Look(part, first_ns, counts)
 
@@ -144,14 +149,15 @@ def bag_files(path: Path, damage: list[str]) -> list[Path]:
 def listed_parts(path: Path) -> list[Path]:
     """Return the files that the metadata in a folder list, where all of them are there."""
     text = path / METADATA
-    if not text.is_file():
+    if not text.is_file() or text.stat().st_size > MOST_METADATA_BYTES:
         return []
     content: Any = None
     # Damaged metadata are done without: in whatever way they are.
-    with suppress(Exception):
+    with suppress(Exception), warnings.catch_warnings():
+        warnings.simplefilter('ignore')
         content = YAML(typ='safe').load(text.read_text())
         names = content['rosbag2_bagfile_information']['relative_file_paths']
-        files = [path / PurePath(str(name)).name for name in names]
+        files = [path / name for name in dict.fromkeys(PurePath(one).name for one in names)]
         if all(file.is_file() and kind_of(file) for file in files):
             others = {file.name for file in bag_files(path, [])} - {file.name for file in files}
             if others:

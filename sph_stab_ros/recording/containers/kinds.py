@@ -29,11 +29,38 @@ KINDS: dict[bytes, Kind] = {
 # Where the first bytes are damaged, the name is all there is.
 SUFFIXES: dict[str, Kind] = {'.mcap': McapFile, '.bag': Rosbag1File, '.db3': SqliteFile}
 
+
+class Gunzip:
+    """What unpacks gzip, as the other decompressors do it."""
+
+    def __init__(self) -> None:
+        self._stream = zlib.decompressobj(zlib.MAX_WBITS | 16)
+
+    def decompress(self, data: bytes, max_length: int = -1) -> bytes:
+        """Return what comes of more data, and of those before that were too much."""
+        return self._stream.decompress(self._stream.unconsumed_tail + data, max(max_length, 0))
+
+    @property
+    def needs_input(self) -> bool:
+        """Tell whether all data so far are unpacked."""
+        return not self._stream.unconsumed_tail
+
+    @property
+    def eof(self) -> bool:
+        """Tell whether the end is reached."""
+        return self._stream.eof
+
+    @property
+    def unused_data(self) -> bytes:
+        """Return what is behind the end."""
+        return self._stream.unused_data
+
+
 ZSTD = b'\x28\xb5\x2f\xfd'
 COMPRESSED: dict[bytes, Callable[[], Any]] = {
     ZSTD: DECOMPRESSORS['zstd'],
     b'\x04\x22\x4d\x18': DECOMPRESSORS['lz4'],
-    b'\x1f\x8b': lambda: zlib.decompressobj(zlib.MAX_WBITS | 16),
+    b'\x1f\x8b': Gunzip,
     b'BZh': BZ2Decompressor,
     b'\xfd7zXZ\0': LZMADecompressor,
 }

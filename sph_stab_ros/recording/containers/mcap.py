@@ -20,8 +20,8 @@ import struct
 from zlib import crc32
 
 from sph_stab_ros.recording.containers.records import (
-    Channel, Damaged, decompressed, Message, Record, RecordFile, ros2_name, Source, uint16, uint32,
-    uint64)
+    Channel, Damaged, decompressed, HEAD, Message, Record, RecordFile, ros2_name, Source, uint16,
+    uint32, uint64)
 
 MAGIC = b'\x89MCAP0\r\n'
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 2, 3, 4, 5, 6
@@ -89,6 +89,7 @@ class McapFile(RecordFile):
                     if record.kind == CHUNK:
                         content = chunk_content(source, record, damage)
                         for kind, start, end in inner_records(content):
+                            source.count_record()
                             yield from self._take(
                                 kind, content, start, end, types, topics, damage)
                     elif record.kind in (SCHEMA, CHANNEL, MESSAGE):
@@ -154,12 +155,13 @@ class McapFile(RecordFile):
             following = self.record_at(source, record.end)
             return self._is_expected(source, record) and following is not None and (
                 following.kind != MESSAGE or self._is_expected(source, following))
-        content = source.read(record.content, record.end - record.content)
+        # Two names, and something else with its length before it.
+        at = 2 if record.kind == SCHEMA else 4
+        content = source.read(record.content, min(record.end - record.content, HEAD))
         try:
-            at = 2 if record.kind == SCHEMA else 4
             for _ in range(2):
                 _, at = string(content, at)
-            return at + 4 + uint32(content, at) == len(content)
+            return record.content + at + 4 + uint32(content, at) == record.end
         except (Damaged, UnicodeDecodeError, struct.error):
             return False
 
@@ -186,7 +188,7 @@ def chunk_content(source: Source, record: Record, damage: list[str]) -> bytes:
     size = record.end - record.content
     chunk = source.read(record.content, size)
     compression, start = string(chunk, 28)
-    content = decompressed(chunk[start + 8:], compression)
+    content = decompressed(chunk[start + 8:], compression, uint64(chunk, 16))
     if len(chunk) < size:
         damage.append('the last chunk is cut')
     elif len(content) != uint64(chunk, 16):
@@ -204,6 +206,8 @@ def inner_records(content: bytes) -> Iterator[tuple[int, int, int]]:
         start, at = at + 9, at + 9 + size
         if at > len(content):
             raise Damaged('a record is cut')
+        if kind == 0:
+            raise Damaged('no record')
         yield kind, start, at
 
 

@@ -24,15 +24,15 @@ if sys.version_info >= (3, 14):
 else:
     from backports.zstd import ZstdDecompressor
 
+from sph_stab_ros.recording.containers.limits import (
+    Damaged as Damaged, MOST_CUT_CHUNKS, READ_BESIDES, READ_FOR_EACH, RECORDS_BESIDES,
+    RECORDS_FOR_EACH, unpacked)
+
 # Decompressors that give what they can of a stream cut short.
 DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     'zstd': ZstdDecompressor, 'lz4': LZ4FrameDecompressor, 'bz2': BZ2Decompressor}
 # How much is searched at once for the next record, and how long the head of one may be.
 WINDOW, HEAD = 2**20, 2**12
-
-
-class Damaged(Exception):
-    """Content ends too early, or contradicts itself."""
 
 
 class Channel(NamedTuple):
@@ -55,6 +55,8 @@ class Part(Protocol):
     index loses nothing and damaged content costs no more than itself.
     """
 
+    path: Path
+
     def index(self) -> Counter[Channel] | None:
         """Return the number of messages of each channel, or None where that needs a scan."""
 
@@ -72,9 +74,28 @@ class Source:
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self.size = file.seek(0, 2)
+        self._left = READ_FOR_EACH * self.size + READ_BESIDES
+        self._records_left = RECORDS_FOR_EACH * self.size + RECORDS_BESIDES
+        self._cut_chunks_left = MOST_CUT_CHUNKS
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Tell whether more was read than any search for records should need."""
+        return self._left < 0 or self._cut_chunks_left < 0
+
+    def count_record(self) -> None:
+        """Count a record within a chunk; Damaged where there are more than any file has."""
+        self._records_left -= 1
+        if self._records_left < 0:
+            raise Damaged('too many records')
+
+    def count_cut_chunk(self) -> None:
+        """Count a chunk that reaches beyond the end."""
+        self._cut_chunks_left -= 1
 
     def read(self, at: int, count: int) -> bytes:
         """Return ``count`` bytes, or as many as there are."""
+        self._left -= count if at + count <= self.size else max(self.size - at, 0)
         self._file.seek(at)
         # A damaged count must not ask for more memory than there is.
         return self._file.read(max(min(count, self.size - at), 0))
@@ -125,6 +146,9 @@ class RecordFile(ABC):
         """Yield all records; where there is none the next one is searched for."""
         at, search_from, in_chunk = self.START, self.START + 1, False
         while at < source.size:
+            if source.is_exhausted:
+                damage.append(f'the rest from byte {at} on makes no sense')
+                return
             record = self.record_at(source, at)
             if record is None:
                 damage.append(f'no record at byte {at}')
@@ -137,6 +161,7 @@ class RecordFile(ABC):
             # Where no record follows, something may be missing from this one.
             at, search_from, in_chunk = record.end, record.content, record.kind == self.CHUNK
             if at > source.size:
+                source.count_cut_chunk()
                 at = self._next_record(source, search_from, in_chunk) or at
 
     def _next_record(self, source: Source, at: int, in_chunk: bool) -> int | None:
@@ -146,6 +171,8 @@ class RecordFile(ABC):
             for offset in self.candidates(window):
                 if offset >= WINDOW:
                     continue
+                if source.is_exhausted:
+                    return None
                 record = self.record_at(source, at + offset)
                 if record is not None and not (in_chunk and record.kind in self.INNER
                                                ) and self.is_sure(source, record):
@@ -154,12 +181,16 @@ class RecordFile(ABC):
         return None
 
 
-def decompressed(data: bytes, compression: str) -> bytes:
-    """Return the content of a chunk, as far as it goes where it was cut; else raise Damaged."""
+def decompressed(data: bytes, compression: str, size: int) -> bytes:
+    """
+    Return the content of a chunk, which has ``size`` bytes, as far as it goes where it was cut.
+
+    Damaged where that is something else.
+    """
     if compression in ('', 'none'):
         return data
     try:
-        return DECOMPRESSORS[compression]().decompress(data)
+        return unpacked(DECOMPRESSORS[compression](), data, size)
     # Each library has exceptions of its own.
     except Exception as error:
         raise Damaged(f'{compression}: {error}') from None

@@ -13,6 +13,8 @@ from collections.abc import Collection, Iterator
 import re
 import struct
 
+import numpy as np
+
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.containers.records import (
@@ -28,6 +30,7 @@ FIELDS: dict[int, dict[str, int | None]] = {
     CONNECTION: {'conn': 4, 'topic': None}}
 BYTES_PER_ENTRY = {INDEX: 12, CHUNK_INFO: 8}
 OPERATION = re.compile(rb'\x04\0\0\0op=[\x02-\x07]')
+OPERATION_BYTES, MOST_BEFORE_OPERATION = 8, 512
 
 
 class Rosbag1File(RecordFile):
@@ -90,6 +93,7 @@ class Rosbag1File(RecordFile):
                             damage.append('the last chunk is cut')
                         content = chunk_content(record, content, record.end > source.size)
                         for inside, start, end in inner_records(content):
+                            source.count_record()
                             yield from self._take(
                                 inside, content, start, end, topics, damage)
                     else:
@@ -134,11 +138,18 @@ class Rosbag1File(RecordFile):
 
     def candidates(self, window: bytes) -> Iterator[int]:
         """Yield the positions at which a record might begin."""
-        for match in OPERATION.finditer(window):
-            # The length of the header, which reaches beyond the operation, is before it.
-            for at in range(max(match.start() - 512, 0), match.start() - 3):
-                if match.end() - 4 <= at + uint32(window, at) < at + HEAD:
-                    yield at
+        operations = np.array([match.start() for match in OPERATION.finditer(window)], int)
+        if not len(operations):
+            return
+        # The length of the header is before it, and reaches beyond the first operation in it.
+        values = np.frombuffer(window, np.uint8).astype(np.uint32)
+        lengths = (values[:-3] | values[1:-2] << 8 | values[2:-1] << 16 | values[3:] << 24)
+        at = np.flatnonzero(lengths < HEAD)
+        following = np.searchsorted(operations, at + 4)
+        at, following = at[following < len(operations)], following[following < len(operations)]
+        begin = operations[following]
+        yield from at[(begin - at <= MOST_BEFORE_OPERATION)
+                      & (begin + OPERATION_BYTES - 4 <= at + lengths[at])].tolist()
 
     def is_sure(self, source: Source, record: Record) -> bool:
         """Tell whether what looks like a record surely is one: its fields all but prove it."""
@@ -167,7 +178,8 @@ def parsed(data: bytes, at: int) -> Record:
 
 def chunk_content(record: Record, data: bytes, cut: bool) -> bytes:
     """Return what a chunk holds, of one that was cut the first part; Damaged if it is wrong."""
-    content = decompressed(data, record.fields['compression'].decode())
+    content = decompressed(
+        data, record.fields['compression'].decode(), uint32(record.fields['size']))
     if not cut and len(content) != uint32(record.fields['size']):
         raise Damaged(f'a chunk holds {len(content)} bytes')
     return content

@@ -12,13 +12,19 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import closing
 from pathlib import Path
+import re
 import sqlite3
+import sys
 
 from sph_stab_ros.recording.containers.records import Channel, Message
 
 MAGIC = b'SQLite format 3\0'
 # So many rows in a row that cannot be read, and no more is tried.
 MOST_LOST_ROWS = 10_000
+# How many operations of SQLite's machine a file may take, for each of its bytes and besides.
+OPERATIONS_FOR_EACH, STRIDE, LEAST_STRIDES = 100, 10**5, 500
+LEAST_LIMIT = 10**6
+COMPUTED = re.compile(r'\W*create\W+(view|virtual)', re.IGNORECASE)
 
 
 class SqliteFile:
@@ -62,8 +68,10 @@ class SqliteFile:
         with closing(database):
             while lost < MOST_LOST_ROWS:
                 try:
-                    for last, number, received_ns, data in database.execute(query, (last,)):
-                        lost = 0
+                    for row, number, received_ns, data in database.execute(query, (last,)):
+                        if type(row) is not int or row <= last:
+                            raise ValueError('the rows are out of order')
+                        last, lost = row, 0
                         if isinstance(data, bytes) and isinstance(received_ns, int):
                             yield self.known[number], received_ns, data
                         elif number not in self.known or data is not None:
@@ -79,11 +87,28 @@ class SqliteFile:
         try:
             # Without it SQLite refuses a file shorter than its header says.
             database.execute('PRAGMA writable_schema=ON')
+            self._refuse_what_is_made_up(database)
+            # Whatever comes out of damaged pages.
             self.known = {
-                int(number): Channel(str(topic), str(msgtype), 'cdr')
+                number: Channel(topic, msgtype, 'cdr')
                 for number, topic, msgtype in database.execute(
-                    'SELECT id, name, type FROM topics')}
+                    'SELECT id, name, type FROM topics')
+                if (type(number), type(topic), type(msgtype)) == (int, str, str)}
         except BaseException:
             database.close()
             raise
         return database
+
+    def _refuse_what_is_made_up(self, database: sqlite3.Connection) -> None:
+        """Raise DatabaseError where rows or values are computed, without end perhaps."""
+        size = self.path.stat().st_size
+        if sys.version_info >= (3, 11):
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, LEAST_LIMIT))
+        left = iter(range(OPERATIONS_FOR_EACH * size // STRIDE + LEAST_STRIDES))
+        database.set_progress_handler(lambda: next(left, None) is None, STRIDE)
+        if any(COMPUTED.match(sql) for sql, in database.execute(
+                'SELECT sql FROM sqlite_master') if isinstance(sql, str)):
+            raise sqlite3.DatabaseError('views or virtual tables')
+        for table in ('topics', 'messages'):
+            if any(hidden for *_, hidden in database.execute(f'PRAGMA table_xinfo({table})')):
+                raise sqlite3.DatabaseError('columns that are computed')

@@ -1,0 +1,60 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The size of the picture in a file, by its header, and whether it can be one of a camera."""
+
+from struct import error, unpack_from
+
+from sph_stab_ros.images.image_error import ImageError
+
+JPEG, PNG = 'JPEG', 'PNG'
+START_OF_SCAN = b'\xff\xda'
+# A sphere of 16384 columns; in BGR it takes 400 MB.
+MOST_PIXELS = 2**27
+# Of a progressive file, each of which goes over the whole picture. Ten are usual.
+MOST_SCANS = 200
+# Start of frame, of all kinds of coding; tables that share their range are none.
+FRAME_HEADERS = {*range(0xc0, 0xd0)} - {0xc4, 0xc8, 0xcc}
+
+
+def refuse_too_much(data: bytes, kind: str) -> None:
+    """Raise ImageError where the picture in a file, JPEG or PNG, is beyond what cameras take."""
+    width, height = jpeg_size(data) if kind == JPEG else png_size(data)
+    if width * height > MOST_PIXELS:
+        raise ImageError('too large', f'the {kind} is said to be {width}x{height}')
+    # The mark is nowhere else but in thumbnails.
+    if kind == JPEG and data.count(START_OF_SCAN) > MOST_SCANS:
+        raise ImageError(f'corrupt {JPEG}', f'more than {MOST_SCANS} scans')
+
+
+def jpeg_size(data: bytes) -> tuple[int, int]:
+    """Return width and height from the frame header of a JPEG file (ITU-T T.81, B.2.2)."""
+    # Behind the start of the image.
+    at = 2
+    try:
+        while True:
+            marker, length = unpack_from('>HH', data, at)
+            if marker == 0xffff:
+                # Any number of these may come before a marker.
+                at += 1
+            elif marker & 0xff in FRAME_HEADERS:
+                height, width = unpack_from('>HH', data, at + 5)
+                return width, height
+            else:
+                at += 2 + length
+    except error:
+        raise ImageError(f'corrupt {JPEG}', 'there is no frame header') from None
+
+
+def png_size(data: bytes) -> tuple[int, int]:
+    """Return width and height from the header of a PNG file."""
+    try:
+        width, height = unpack_from('>II', data, 16)
+    except error:
+        raise ImageError(f'corrupt {PNG}', 'there is no header') from None
+    return width, height
