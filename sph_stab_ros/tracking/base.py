@@ -19,7 +19,8 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.geometry.arrays import Covariance, Grey
 from sph_stab_ros.geometry.rotations import standard_deviation_rad
 
-MAX_OK_SIGMA_RAD = np.deg2rad(0.5)
+# Three of these are a degree, which no orientation may be off with the status ok.
+MAX_OK_SIGMA_RAD = np.deg2rad(1 / 3)
 
 # Returns the turn ``R_from_to`` that a gyro has seen between two stamps in ns, or None.
 GyroRotation: TypeAlias = Callable[[int, int], Rotation | None]
@@ -52,7 +53,7 @@ class TrackedOrientation:
 
 
 def status_of(covariance: Covariance) -> TrackingStatus:
-    """Return what an orientation told from its frame is worth: an error of 1° is no ok."""
+    """Return what an orientation told from its frame is worth, by the covariance of its error."""
     return (TrackingStatus.OK if standard_deviation_rad(covariance) < MAX_OK_SIGMA_RAD
             else TrackingStatus.UNCERTAIN)
 
