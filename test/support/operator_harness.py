@@ -39,11 +39,12 @@ TIMEOUT_S = 30.
 TOKEN = 'sesame'
 WIDTH = 512
 DISC_RAD = 0.06
-# WebGL in software where there is no graphics card; no connections of the browser's own.
+# WebGL in software where there is no graphics card, however long that takes on a busy machine; no
+# connections of the browser's own.
 CHROMIUM_FLAGS = (
     '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking',
     '--disable-component-update', '--disable-sync',
-    '--enable-unsafe-swiftshader')
+    '--enable-unsafe-swiftshader', '--disable-gpu-watchdog')
 
 
 def find_chromium():
