@@ -79,6 +79,16 @@ class AnchoredTracker:
         return self._visible.still.mask
 
     @property
+    def options(self) -> AnchoredOptions:
+        """Return how all of it is done."""
+        return self._options
+
+    @property
+    def visible(self) -> VisibleWorld:
+        """Return where the camera sees the world."""
+        return self._visible
+
+    @property
     def lens_misalignment(self) -> tuple[Vector, Covariance]:
         """Rotation vector (3,) between a stitched picture's halves, and its covariance (3, 3)."""
         return self._map.lenses.apart, self._map.lenses.apart_covariance
