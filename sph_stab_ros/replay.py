@@ -22,7 +22,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sph_stab_ros.command_line import (
-    add_imu_topic, add_recording, check_stretch, frames_to_read, is_cut, open_given, Parser, run)
+    add_imu_topic, add_recording, check_stretch, frames_to_read, is_cut, open_given, Parser, run,
+    told_once)
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
@@ -30,17 +31,18 @@ from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
-from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording
 from sph_stab_ros.recording.partial_output import partial_output
+from sph_stab_ros.stabilization.offline import offline_stabilizer
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
     picture_outputs)
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
-from sph_stab_ros.stabilization.recording_loop import stabilize_recording, Summary
+from sph_stab_ros.stabilization.recording_loop import (
+    FrameProcessor, stabilize_recording, Summary)
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
@@ -50,8 +52,9 @@ logger = logging.getLogger(__name__)
 VIDEO_SUFFIXES = ('.mp4', '.mov')
 # Writes a frame down.
 Sink: TypeAlias = Callable[[StabilizedFrame], Any]
-# Passes on frames, of which so many are expected if that is known, and may tell of it.
-Progress: TypeAlias = Callable[[Iterator[Frame], int | None], Iterable[Frame]]
+# Passes on frames, or what is left of them, of which so many are expected if that is known, and may
+# tell of it.
+Progress: TypeAlias = Callable[[Iterator[Any], int | None], Iterable[Any]]
 
 
 def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
@@ -160,6 +163,9 @@ def smoothing_argument(text: str, flag: str) -> Parameters:
 def add_options(parser: Parser) -> None:
     """Add arguments for how a recording is stabilised, whichever it is."""
     add_imu_topic(parser)
+    parser.add_argument('--offline', action='store_true',
+                        help='as good as can be, by what comes later too, instead of as the node '
+                        'does it')
     parser.add_argument('--side-by-side', action='store_true',
                         help='a video of sphere, front and back view, recorded and stabilised')
     group = add_parameters(
@@ -184,6 +190,8 @@ def given_settings(parser: Parser, args: Namespace) -> Settings:
     if args.view and viewed(args.view) not in settings.views:
         parser.error(f"--view: '{viewed(args.view)}' is none of the views: "
                      f'{", ".join(settings.views)}')
+    if args.offline and settings.config.tracker.estimator != ANCHORED:
+        parser.error(f"--offline needs the estimator '{ANCHORED}'")
     return settings
 
 
@@ -216,20 +224,29 @@ def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Sum
     """Do what a parsed command line says; return the Summary, and lines that tell of it."""
     config = settings.config
     recording = open_given(args)
-    imu = (RecordedImu(recording, find_imu_topic(recording, args.imu_topic))
-           if config.level == IMU else None)
+    imu_topic = find_imu_topic(recording, args.imu_topic) if config.level == IMU else None
     total = frames_to_read(recording, args.max_frames)
     start_s = time.perf_counter()
+
+    def read(processor: FrameProcessor, sinks: Sequence[Sink] = (),
+             watch: PictureWatch | None = None) -> tuple[Summary, RecordedImu | None]:
+        imu = RecordedImu(recording, imu_topic) if imu_topic else None
+        return stabilize_recording(
+            recording, processor, sinks, args.max_frames, lambda frames: progress(frames, total),
+            imu, pictures=bool(sinks) and args.out is not None, watch=watch), imu
+
     with ExitStack() as stack:
         sinks: list[Sink] = []
         if args.trajectory:
             sinks.append(trajectory_sink(args.trajectory, args.force, stack))
         if args.out:
             sinks.append(output_sink(args, settings, recording, stack))
-        summary = stabilize_recording(
-            recording, Stabilizer(config), sinks, args.max_frames,
-            lambda frames: progress(frames, total), imu, pictures=args.out is not None,
-            watch=PictureWatch(config))
+        if args.offline:
+            # What one reading has told of the next ones need not tell again.
+            stack.enter_context(told_once())
+        stabilizer = (offline_stabilizer(config, read, progress) if args.offline
+                      else Stabilizer(config))
+        summary, imu = read(stabilizer, sinks, PictureWatch(config))
     lines = list(report(summary, config, time.perf_counter() - start_s))
     if args.out and args.out.suffix and summary.colour and summary.colour.assumed:
         lines.append(f'colours are taken to be of {summary.colour.assumed}: no tag says so')

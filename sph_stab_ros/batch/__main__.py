@@ -41,7 +41,9 @@ def batch(args: Namespace, settings: Settings) -> None:
     """Do what the command line says; RecordingError where recordings have failed."""
     recordings = find_recordings(args.inputs, args.out)
     options = options_of(settings, {name: getattr(args, name) for name in (
-        'write', 'image_topic', 'imu_topic', 'max_frames', 'side_by_side', 'view')})
+        'write', 'image_topic', 'imu_topic', 'max_frames', 'side_by_side', 'view')}
+        # So that results of those who know of no other way are still the same.
+        | ({'offline': True} if args.offline else {}))
     entries = list(make_plan(recordings, args.out, options, evaluate=args.evaluate,
                              force=args.force, retry=args.retry))
     for line in plan_lines(entries, args.out):

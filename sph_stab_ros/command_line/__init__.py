@@ -9,7 +9,8 @@
 """What the command-line tools share: one line for an error, exit 2 for a usage error, 1 else."""
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 import logging
 import math
 import os
@@ -101,6 +102,24 @@ class OneLine(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:  # noqa: A003
         """Return the line."""
         return one_line(super().format(record))
+
+
+@contextmanager
+def told_once() -> Iterator[None]:
+    """Have each message of the log, word for word, told once only."""
+    told: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        message = record.getMessage()
+        return message not in told and told.add(message) is None
+    handlers = logging.getLogger().handlers
+    for handler in handlers:
+        handler.addFilter(is_new)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(is_new)
 
 
 def run(name: str, command: Callable[[], object]) -> int:
