@@ -12,11 +12,9 @@ from argparse import Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-import importlib
 from itertools import product
 import json
 import logging
-from pathlib import Path
 import sys
 from typing import TypeAlias
 
@@ -33,12 +31,13 @@ from sph_stab_ros.evaluation import report
 from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
 from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.outputs import (
+    draw, make_folder, see_that_figures_can_be_drawn, write_trajectories)
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import (
     Errors, evaluate_against_truth, evaluate_injected, Progress)
 from sph_stab_ros.evaluation.stitched import Stitched
 from sph_stab_ros.geometry.masks import load_mask, MaskError
-from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording, RecordingError
@@ -112,7 +111,7 @@ def by_truth(args: Namespace, recording: Recording, configs: Configs,
     truth = read_truth(recording, topic, args.truth_frames)
     alignment, errors, figures = evaluate_against_truth(
         recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress,
-        imu_topic, watch)
+        imu_topic, watch, args.offline)
     about = {'truth': topic, **report.describe(alignment, args.mount is not None)}
     of_frames = ''
     if args.truth_frames:
@@ -140,7 +139,7 @@ def by_injection(args: Namespace, spheres: Stitched, configs: Configs, frames: i
     configs = {name: replace(config, projection=EQUIRECT, layout=AUTO)
                for name, config in configs.items()}
     errors, figures = evaluate_injected(
-        spheres, configs, args.inject, frames, args.body, progress)
+        spheres, configs, args.inject, frames, args.body, progress, args.offline)
     about = {'injected_seed': args.inject, 'body': args.body, 'mask': mask}
     print(f'{spheres.name}: ' + report.injection_line(about, figures))
     return about, errors, figures
@@ -155,47 +154,6 @@ def warn(name: str, alignment: Alignment) -> None:
             'the wrong topic, clock, mount or convention?', name, residual_deg, turn_deg)
 
 
-def draw(folder: Path, recording: Recording, errors: Mapping[str, Errors]) -> None:
-    """Write the figures: of the errors, and of flow on the sphere as the paper shows it."""
-    from sph_stab_ros.evaluation import figures, plots
-    plots.draw(folder, recording.name, errors)
-    most_frames = max(len(estimator_errors.time_s) for estimator_errors in errors.values())
-    example = figures.find_example(recording, most_frames)
-    if example is None:
-        logger.warning('%s: no pictures of enough parallax for the figures of flow',
-                       recording.name)
-    else:
-        figures.draw(folder, recording.name, example)
-
-
-def write_trajectories(folder: Path, errors: Mapping[str, Errors]) -> None:
-    """Write what the Errors by estimator compare, one file each, for other tools to compare."""
-    trajectories = {name.replace('/', '_'): estimator_errors.estimate
-                    for name, estimator_errors in errors.items()}
-    # The truth, at the frames' times and of the camera, is the same for all.
-    trajectories['truth'] = next(iter(errors.values())).truth
-    for name, trajectory in trajectories.items():
-        with partial_output(folder / f'{name}.tum', force=True) as path:
-            write_tum(path, trajectory)
-
-
-def make_folder(folder: Path) -> None:
-    """Make the folder of an output before all the work is done."""
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise RecordingError(f'{folder} cannot be written: {error.strerror}') from error
-
-
-def see_that_figures_can_be_drawn() -> None:
-    """Raise RecordingError if they cannot."""
-    try:
-        importlib.import_module('matplotlib')
-    except ImportError:
-        raise RecordingError(
-            "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
-
-
 def command_line() -> Parser:
     """Return the parser of the command line."""
     parser = Parser(prog='evaluate', description=__doc__)
@@ -206,6 +164,8 @@ def command_line() -> Parser:
     parser.add_argument('--flows', metavar='A,B', type=names_argument(FLOWS),
                         help=f'each estimator with each of {", ".join(FLOWS)} '
                         "(default: the parameters')")
+    parser.add_argument('--offline', action='store_true',
+                        help=f'of {ANCHORED} the orientations of replay --offline, too')
     parser.add_argument('--truth', metavar='TOPIC',
                         help='PoseStamped, PoseWithCovarianceStamped, QuaternionStamped, '
                         'TransformStamped, Odometry, Imu, Path or TFMessage (default: the one '
@@ -277,6 +237,11 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
         # Estimators work on pictures of different widths.
         refuse_bad_mask(parser, parameters, tracker)
         configs[name] = replace(config, tracker=tracker)
+    if args.offline and ANCHORED not in configs:
+        parser.error(f"--offline needs the estimator '{ANCHORED}'")
+    # The names of these.
+    args.offline = [f'{ANCHORED}/offline'] if args.offline else []
+    configs |= {name: configs[ANCHORED] for name in args.offline}
     return args, configs
 
 

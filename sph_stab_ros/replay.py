@@ -52,8 +52,8 @@ logger = logging.getLogger(__name__)
 VIDEO_SUFFIXES = ('.mp4', '.mov')
 # Writes a frame down.
 Sink: TypeAlias = Callable[[StabilizedFrame], Any]
-# Passes on frames, or what is left of them, of which so many are expected if that is known, and may
-# tell of it.
+# Passes on frames, or what is left of them, of which so many are expected if that is known, and
+# may tell of it.
 Progress: TypeAlias = Callable[[Iterator[Any], int | None], Iterable[Any]]
 
 

@@ -110,8 +110,9 @@ def told_once() -> Iterator[None]:
     told: set[str] = set()
 
     def is_new(record: logging.LogRecord) -> bool:
-        message = record.getMessage()
-        return message not in told and told.add(message) is None
+        count = len(told)
+        told.add(record.getMessage())
+        return len(told) > count
     handlers = logging.getLogger().handlers
     for handler in handlers:
         handler.addFilter(is_new)

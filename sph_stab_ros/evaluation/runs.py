@@ -14,10 +14,10 @@ of the camera's own REP 103 body (x forward along the image centre, y left, z up
 truth's, whose axes point anywhere on a motion-capture rigid body.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +39,7 @@ from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
 from sph_stab_ros.tracking import make_tracker, MakeTracker, TrackingStatus
+from sph_stab_ros.tracking.offline import TwoPasses
 
 # Passes on the frames that the estimator of a name is given, and may tell of it.
 Progress: TypeAlias = Callable[[str, Iterator[Frame]], Iterable[Frame]]
@@ -155,6 +156,8 @@ class Run:
         self._rotations: list[Rotation] = []
         self._times_s: list[float] = []
         self._lost = 0
+        # What was done before the first frame.
+        self.prepared_s = 0.
 
     def add_imu(self, sample: ImuSample) -> None:
         """Take in an ImuSample."""
@@ -172,6 +175,11 @@ class Run:
         self._lost += stabilized.status is not TrackingStatus.OK
         return stabilized
 
+    @property
+    def spent_s(self) -> float:
+        """Return how long it took."""
+        return self.prepared_s + sum(self._times_s)
+
     def trajectory(self) -> Trajectory:
         """Return the Trajectory found; frames whose stamps go back are left out."""
         return increasing(self._stamps_ns, Rotation.concatenate(self._rotations))
@@ -188,21 +196,34 @@ class Run:
         whose stamps go back.
         """
         return errors.summary() | {
-            'ms_per_frame': 1000 * float(np.mean(self._times_s)),
+            'ms_per_frame': 1000 * self.spent_s / len(self._times_s),
             'lost_frames': self._lost,
             'frames_not_evaluated': len(self._times_s) - len(errors.time_s)}
+
+
+def offline_run(config: StabilizerConfig, read: Callable[[Run], Any]) -> Run:
+    """Return a Run of the frames that ``read`` has processed, which are known to it by then."""
+    passes = TwoPasses()
+    first = Run(config, passes.first_tracker)
+    read(first)
+    start_s = perf_counter()
+    passes.finish()
+    run = Run(config, passes.known_tracker)
+    run.prepared_s = first.spent_s + perf_counter() - start_s
+    return run
 
 
 def evaluate_against_truth(
         recording: Recording, configs: Mapping[str, StabilizerConfig], truth: Trajectory,
         R_body_camera: Rotation | None = None, clock_offset_ns: int | None = 0,
         max_frames: int | None = None, progress: Progress = lambda name, frames: frames,
-        imu_topic: str | None = None, watch: PictureWatch | None = None
-        ) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
+        imu_topic: str | None = None, watch: PictureWatch | None = None,
+        offline: Collection[str] = ()) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
 
     Each is fed the samples of an IMU where ``imu_topic`` names one; ``watch`` sees the pictures.
+    Of the names in ``offline`` the orientations are those found with the whole recording known.
 
     Mount and clock offset, where they are None, are those that the estimator gives which follows
     the truth best: they belong to the recording, and a bad estimator must neither suffer from nor
@@ -210,11 +231,13 @@ def evaluate_against_truth(
     """
     runs = {}
     for name, config in configs.items():
-        runs[name] = Run(config)
-        stabilize_recording(recording, runs[name], max_frames=max_frames,
-                            progress=lambda frames: progress(name, frames),
-                            imu=RecordedImu(recording, imu_topic) if imu_topic else None,
-                            watch=watch)
+        def read(run: Run) -> None:
+            stabilize_recording(recording, run, max_frames=max_frames,
+                                progress=lambda frames: progress(name, frames),
+                                imu=RecordedImu(recording, imu_topic) if imu_topic else None,
+                                watch=watch)
+        runs[name] = offline_run(config, read) if name in offline else Run(config)
+        read(runs[name])
     found, failures = [], []
     for run in runs.values():
         try:
@@ -231,23 +254,33 @@ def evaluate_against_truth(
 
 def evaluate_injected(
         recording: Recording, configs: Mapping[str, StabilizerConfig], seed: int, frames: int,
-        body: str = '', progress: Progress = lambda name, frames: frames
-        ) -> tuple[dict[str, Errors], dict[str, Figures]]:
+        body: str = '', progress: Progress = lambda name, frames: frames,
+        offline: Collection[str] = ()) -> tuple[dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, on so many frames turned by the rotations of a seed.
 
-    The ``body`` (as ``load_mask`` takes it) stays where it is.
+    The ``body`` (as ``load_mask`` takes it) stays where it is. Of the names in ``offline`` the
+    orientations of both clips are those found with the whole of them known.
 
     Returns by name Errors and summaries of figures, to which ``clip_turn_deg`` is added: the
     largest angle from the first frame in the clip as it is.
     """
     errors, figures = {}, {}
     for name, config in configs.items():
-        shaken = Run(config)
-        both = ShakenStabilizer(
-            Stabilizer(config), shaken, injected_rotations(seed, frames), body)
-        stabilize_recording(recording, both, max_frames=frames,
-                            progress=lambda frames: progress(name, frames))
+        def read(clip_tracker: MakeTracker, shaken: Run) -> ShakenStabilizer:
+            both = ShakenStabilizer(Stabilizer(config, clip_tracker), shaken,
+                                    injected_rotations(seed, frames), body)
+            stabilize_recording(recording, both, max_frames=frames,
+                                progress=lambda frames: progress(name, frames))
+            return both
+        if name in offline:
+            clip = TwoPasses()
+            shaken = offline_run(config, lambda run: read(clip.first_tracker, run))
+            clip.finish()
+            both = read(clip.known_tracker, shaken)
+        else:
+            shaken = Run(config)
+            both = read(make_tracker, shaken)
         errors[name] = compare(shaken.true_trajectory(both.true_rotations()), shaken.trajectory(),
                                Alignment(Rotation.identity()))
         figures[name] = shaken.summary(errors[name]) | {

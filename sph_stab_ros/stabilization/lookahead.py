@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import FOLLOW, LOCK, SmoothingConfig
-from sph_stab_ros.geometry.arrays import Stamps, Values, Vectors
+from sph_stab_ros.geometry.arrays import Values, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.stabilization.level import heading
 
@@ -46,17 +46,16 @@ def smooth(config: SmoothingConfig, times_ns: Sequence[int], R_world_camera: Rot
     Where the camera looks straight up or down it has no heading, and ``yaw_follow`` goes from the
     one before to the one after. Frames that are not later than those before look like these.
     """
-    everywhere = np.arange(len(times_ns))
     if config.mode == LOCK:
         return Rotation.identity(len(times_ns))
     if config.mode == FOLLOW:
-        known, targets = everywhere, R_world_camera
+        known, targets = np.arange(len(times_ns)), R_world_camera
     else:
-        headings = [heading(one) for one in R_world_camera]
-        known = np.flatnonzero([one is not None for one in headings])
-        if not len(known):
+        headings = {i: R_world_heading for i, one in enumerate(R_world_camera)
+                    if (R_world_heading := heading(one)) is not None}
+        if not headings:
             return Rotation.identity(len(times_ns))
-        targets = Rotation.concatenate([headings[i] for i in known])
+        known, targets = np.array([*headings]), Rotation.concatenate([*headings.values()])
     latest_ns = np.maximum.accumulate(np.asarray(times_ns, np.int64))
     times_s = (latest_ns - latest_ns[0]) / NS_PER_S
     later = np.append(True, np.diff(times_s[known]) > 0)
@@ -76,7 +75,8 @@ def averaged(times_s: Values, targets: Rotation, at_s: Values, time_constant_s: 
         nearest = min(int(np.searchsorted(times_s[first:last], time_s)),
                       len(times_s[first:last]) - 1)
         means.append(mean(Rotation.from_quat(q[first:last]),
-                          weights(times_s[first:last] - time_s, time_constant_s / 2), nearest))
+                          kernel_weights(times_s[first:last] - time_s, time_constant_s / 2),
+                          nearest))
     return Rotation.concatenate(means)
 
 
@@ -97,9 +97,9 @@ def prolonged(times_s: Values, targets: Rotation, reach_s: float) -> tuple[Value
             Rotation.concatenate([one for one in (before, targets, after) if len(one)]))
 
 
-def weights(times_s: Values, a: float) -> Values:
+def kernel_weights(times_s: Values, a: float) -> Values:
     """
-    Return the weights (N,), of sum 1, of samples at rising times, in an average about zero.
+    Return the weights (N,) of samples at rising times, of sum 1, in an average about time zero.
 
     Of ``∫ k(t) u(t) dt`` with u a straight line between samples and constant beyond: second
     differences of that integral G of k which grows like ``|t| / 2``.

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import SmoothingConfig
-from sph_stab_ros.stabilization.lookahead import rotation_vectors, smooth, weights
+from sph_stab_ros.stabilization.lookahead import kernel_weights, rotation_vectors, smooth
 
 TAU_S = 0.8
 FOLLOW = SmoothingConfig('follow', TAU_S)
@@ -145,7 +145,7 @@ def test_one_frame_and_none_with_a_heading():
 def test_weights_are_those_of_the_filter_run_both_ways():
     """Positive, of sum 1, of variance τ²."""
     times_s = np.arange(-12, 12, 0.01)
-    w = weights(times_s, TAU_S / 2)
+    w = kernel_weights(times_s, TAU_S / 2)
     assert w.min() > -1e-12
     assert w.sum() == pytest.approx(1)
     assert w @ times_s ** 2 == pytest.approx(TAU_S ** 2, rel=1e-3)

@@ -9,9 +9,9 @@
 """
 Tracking with hindsight: each frame is located once more when the map has gone on.
 
-The live tracker locates a frame among landmarks of which the newest have no depth yet, at the start
-none has. A second later they have, keyframes behind the frame have been added to those before it,
-and all of them were adjusted: a fixed-lag smoother.
+The live tracker locates a frame among landmarks of which the newest have no depth yet, and at the
+start none has. A second later they have, there are keyframes behind the frame as there are before
+it, and all of them were adjusted: a fixed-lag smoother.
 """
 
 from bisect import bisect_left
@@ -104,7 +104,7 @@ class HindsightTracker:
             self._located_again(waited) if isinstance(waited, Located) else waited)
 
     def _located_again(self, one: Located) -> TrackedOrientation:
-        """Return the orientation in the map as it is now, by its keyframe where it is not found."""
+        """Return the orientation in the map as it is now; by its keyframe where that is all."""
         landmark_map, options, tracker = one.landmark_map, self._options, self._tracker
         R_world_key = rotation_from_matrix(one.keyframe.R)
         R_world_camera, covariance = R_world_key * one.R_key_camera, one.covariance

@@ -42,10 +42,10 @@ class TwoPasses:
         self._told = 0
 
     def first_tracker(self, config: TrackerConfig, width: int, gyro_rotation: GyroRotation,
-                      *seen: Mask) -> Tracker:
+                      seen: Mask | None = None) -> Tracker:
         """Return a Tracker that takes in frames, by the anchored tracker that a config means."""
         def make(gyro_rotation: GyroRotation) -> HindsightTracker:
-            tracker = make_tracker(config, width, gyro_rotation, *seen)
+            tracker = make_tracker(config, width, gyro_rotation, seen)
             assert isinstance(tracker, AnchoredTracker), 'the others have no landmarks'
             return HindsightTracker(tracker)
         self._readings.append(FirstReading(make, gyro_rotation))
