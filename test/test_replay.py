@@ -19,6 +19,7 @@ from unittest import mock
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.evaluation.ground_truth import read_truth
 from sph_stab_ros.geometry.trajectory import read_tum
@@ -61,6 +62,43 @@ def test_the_trajectory_is_that_of_the_camera(
     output = capsys.readouterr().out
     assert '12 frames' in output and told in output
     assert ('drift' in output) is (estimator == 'moment')
+
+
+def test_offline_orientations_are_those_of_the_camera_too(turning, turning_bag, tmp_path, capsys):
+    """By what comes later too, and told as ever."""
+    call(turning_bag, '--offline', '--trajectory', tmp_path / 'out.tum')
+    trajectory = read_tum(tmp_path / 'out.tum')
+    assert np.array_equal(trajectory.stamps_ns, stamps_of(len(turning[0])))
+    assert angles_deg(trajectory.rotations, turning[1]).max() < 0.1
+    assert '12 ok' in capsys.readouterr().out
+
+
+def test_offline_the_virtual_camera_turns_with_the_camera_not_behind(
+        turning, turning_bag, tmp_path):
+    """A steady turn passes unchanged, where the node stays behind by the time constant."""
+    for flags in ((), ('--offline',)):
+        call(turning_bag, tmp_path / 'out', '--smoothing', 'follow:0.3', '--force', *flags)
+        out = open_recording(tmp_path / 'out', 'stabilized/image/compressed')
+        quaternions = [m.quaternion for _, m in out.messages('virtual_orientation')]
+        shown = Rotation.from_quat([(q.x, q.y, q.z, q.w) for q in quaternions])
+        assert (angles_deg(shown, turning[1]).max() < 0.3) == bool(flags)
+
+
+def test_offline_what_is_left_out_is_told_once(turning, tmp_path, capsys, caplog):
+    """However often the recording is read."""
+    images = [IMAGE[:50], *turning[0]]
+    bag = write_bag(tmp_path / 'bag', images)
+    call(bag, '--offline', '--smoothing', 'follow', '--trajectory', tmp_path / 'out.tum')
+    assert [record.getMessage() for record in caplog.records] == [
+        'bag: picture left out, not 2:1: an equirectangular image is twice as wide as high, this is '
+        '256x50 (more of these are only counted)']
+    assert '12 ok' in capsys.readouterr().out
+
+
+def test_offline_needs_the_anchored_tracker(turning_bag, capsys):
+    """The others have nothing to look back at."""
+    call(turning_bag, '--offline', '--estimator', 'pts', expect=2)
+    assert capsys.readouterr().err == "replay: --offline needs the estimator 'anchored'\n"
 
 
 def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):

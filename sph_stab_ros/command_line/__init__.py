@@ -104,23 +104,31 @@ class OneLine(logging.Formatter):
         return one_line(super().format(record))
 
 
+class TellOnce(logging.Filter):
+    """Lets each message of the log through, word for word, once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._told: set[str] = set()
+
+    def filter(self, record: logging.LogRecord) -> bool:  # noqa: A003
+        """Tell whether the message has not been told."""
+        count = len(self._told)
+        self._told.add(record.getMessage())
+        return len(self._told) > count
+
+
 @contextmanager
 def told_once() -> Iterator[None]:
-    """Have each message of the log, word for word, told once only."""
-    told: set[str] = set()
-
-    def is_new(record: logging.LogRecord) -> bool:
-        count = len(told)
-        told.add(record.getMessage())
-        return len(told) > count
-    handlers = logging.getLogger().handlers
-    for handler in handlers:
-        handler.addFilter(is_new)
+    """Have each message of the log told once only."""
+    filters = [(handler, TellOnce()) for handler in logging.getLogger().handlers]
+    for handler, one in filters:
+        handler.addFilter(one)
     try:
         yield
     finally:
-        for handler in handlers:
-            handler.removeFilter(is_new)
+        for handler, one in filters:
+            handler.removeFilter(one)
 
 
 def run(name: str, command: Callable[[], object]) -> int:

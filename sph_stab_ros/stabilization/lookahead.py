@@ -82,19 +82,20 @@ def averaged(times_s: Values, targets: Rotation, at_s: Values, time_constant_s: 
 
 def prolonged(times_s: Values, targets: Rotation, reach_s: float) -> tuple[Values, Rotation]:
     """
-    Return targets that go on beyond both ends, by as much, as they came: mirrored at a point.
+    Return targets that go on beyond both ends as they came: mirrored at the ends, as at points.
 
     So a turn at the end is a turn to the end; and the mean still never overshoots.
     """
-    def mirrored(inside: slice, end: int) -> tuple[Values, Rotation]:
-        near = np.flatnonzero(np.abs(times_s[inside] - times_s[end]) <= reach_s)[::-1]
-        return (2 * times_s[end] - times_s[inside][near],
-                targets[end] * targets[inside][near].inv() * targets[end])
-    if len(times_s) < 2:
-        return times_s, targets
-    (before_s, before), (after_s, after) = mirrored(slice(1, None), 0), mirrored(slice(-1), -1)
-    return (np.concatenate((before_s, times_s, after_s)),
-            Rotation.concatenate([one for one in (before, targets, after) if len(one)]))
+    end_s = times_s[-1]
+    while len(times_s) > 1 and times_s[-1] < end_s + reach_s:
+        count = 1 + max(np.searchsorted(times_s - times_s[0], reach_s),
+                        np.searchsorted(times_s[-1] - times_s[::-1], reach_s))
+        (before_s, before), (after_s, after) = (
+            (2 * times_s[end] - times_s[near], targets[end] * targets[near].inv() * targets[end])
+            for end, near in ((0, slice(count, 0, -1)), (-1, slice(-2, -2 - count, -1))))
+        times_s = np.concatenate((before_s, times_s, after_s))
+        targets = Rotation.concatenate((before, targets, after))
+    return times_s, targets
 
 
 def kernel_weights(times_s: Values, a: float) -> Values:

@@ -58,7 +58,9 @@ def fuse(forward: list[TrackedOrientation], backward: list[TrackedOrientation]
     # The backward pass counts from the last frame on.
     P[1] += P[1, first]
     surer = np.argmin(P.trace(axis1=2, axis2=3), axis=0)
-    spread = (share * (1 - share))[:, None, None] * apart[:, :, None] * apart[:, None]
+    # From who is not sure himself nobody differs.
+    doubt = share * (1 - share) * weights.min(axis=0) * MAX_OK_SIGMA_RAD ** 2
+    spread = doubt[:, None, None] * apart[:, :, None] * apart[:, None]
     return [TrackedOrientation(R_first_world * R[i], forward[i].status) if nobody[i] else
             _oriented(R_first_world * R[i], rotate_covariance(P[surer[i], i] + spread[i],
                                                               R_first_world))
