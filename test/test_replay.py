@@ -90,8 +90,8 @@ def test_offline_what_is_left_out_is_told_once(turning, tmp_path, capsys, caplog
     bag = write_bag(tmp_path / 'bag', images)
     call(bag, '--offline', '--smoothing', 'follow', '--trajectory', tmp_path / 'out.tum')
     assert [record.getMessage() for record in caplog.records] == [
-        'bag: picture left out, not 2:1: an equirectangular image is twice as wide as high, this is '
-        '256x50 (more of these are only counted)']
+        'bag: picture left out, not 2:1: an equirectangular image is twice as wide as high, '
+        'this is 256x50 (more of these are only counted)']
     assert '12 ok' in capsys.readouterr().out
 
 
