@@ -19,7 +19,8 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
-.PHONY: evaluation-real evaluation-hard company evaluation-company benchmark benchmark-company
+.PHONY: evaluation-real evaluation-offline evaluation-hard company evaluation-company benchmark
+.PHONY: benchmark-company
 .PHONY: benchmark-ros soak frames bags hard-frames hard constraints
 .PHONY: packages clean
 
@@ -85,6 +86,20 @@ evaluation-real: setup  ## The same on real footage in REAL, by rotations inject
 	$(THETA) --inject 1 --json $(RESULTS)/theta_1.json
 	$(THETA) --inject 2 --estimators anchored --json $(RESULTS)/theta_2.json
 	$(THETA) --inject 3 --estimators anchored --json $(RESULTS)/theta_3.json
+	$(FILL_IN_TABLES)
+
+OFFLINE = $(PY) -m sph_stab_ros.evaluate --estimators anchored --offline
+
+evaluation-offline: setup  ## The live tracker beside the offline one, also on REAL and its company
+	mkdir -p $(RESULTS)
+	for one in drone handheld; do \
+	    $(OFFLINE) bags/$$one --json $(RESULTS)/offline_$$one.json || exit 1; done
+	$(OFFLINE) bags/pioneer --json $(RESULTS)/offline_pioneer.json $(MOUNT)
+	for one in $(COMPANY); do \
+	    $(OFFLINE) $$one --json $(RESULTS)/offline_$$(basename $$one).json || exit 1; done
+	for seed in 1 2 3; do \
+	    $(OFFLINE) $(REAL)/handheld_theta/handheld_theta.mp4 --max-frames 300 --inject $$seed \
+	    --json $(RESULTS)/offline_theta_$$seed.json || exit 1; done
 	$(FILL_IN_TABLES)
 
 evaluation-hard: setup  ## The same on what make hard has written

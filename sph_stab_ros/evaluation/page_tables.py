@@ -108,9 +108,25 @@ def injected(results: Sequence[Result]) -> Iterator[Row]:
                        _degrees(one['per_frame_deg'], 'median', 'max', digits=3))
 
 
+def offline(results: Sequence[Result]) -> Iterator[Row]:
+    """Yield the rows of a table of the live tracker beside the offline one, and of the means."""
+    yield ('recording', 'live, geodesic: mean, max', 'offline',
+           'live, per frame: median, max', 'offline')
+    pairs = [[result['estimators'][name] for name in ('anchored', 'anchored/offline')]
+             for result in results]
+    for result, pair in zip(results, pairs):
+        seed = result.get('injected_seed')
+        yield (result['recording'] + (f', turned by seed {seed}' if seed else ''),
+               *(_degrees(one['geodesic_deg'], 'mean', 'max', digits=3) for one in pair),
+               *(_degrees(one['per_frame_deg'], 'median', 'max', digits=3) for one in pair))
+    live, known = ([sum(one[kind][key] for one in column) / len(results) for kind, key in (
+        ('geodesic_deg', 'mean'), ('per_frame_deg', 'median'))] for column in zip(*pairs))
+    yield ('**mean of all**', *(f'{means[i]:.3f}°' for i in (0, 1) for means in (live, known)))
+
+
 TABLES: dict[str, Table] = {
     'errors': errors, 'beside': beside, 'times': times, 'paper': paper, 'over_time': over_time,
-    'injected': injected}
+    'injected': injected, 'offline': offline}
 
 
 def filled(page: str, folder: Path) -> str:

@@ -37,6 +37,9 @@ def folder(tmp_path):
                 method: figures(scale) for method in (
                     'pts', 'moment/farneback', 'moment/dis', 'pts_epipolar/farneback',
                     'pts_epipolar/dis')}}))
+    (tmp_path / 'known.json').write_text(json.dumps({
+        'recording': 'known', 'injected_seed': 7,
+        'estimators': {'anchored': figures(1), 'anchored/offline': figures(2)}}))
     return tmp_path
 
 
@@ -47,6 +50,10 @@ def folder(tmp_path):
     ('times drone walk', '| `moment/dis` | 10 ms | 21 ms |'),
     ('paper drone', '| `pts` | 6.29, 4.09, 9.84° | 1.00, 2.00, 3.00° | 1.00, 2.00, 3.00° |'),
     ('over_time walk', '| geodesic after | 60 s | 120 s |'),
+    ('offline known known',
+     '| known, turned by seed 7 | 4.000, 5.000° | 8.000, 10.000° | 0.700, 0.900° | '
+     '1.400, 1.800° |'),
+    ('offline known known', '| **mean of all** | 4.000° | 8.000° | 0.700° | 1.400° |'),
     ('injected drone walk', '| `pts` | 7 | – | `lat:-90,-60` | 22.0° | 8.00, 10.00° |'),
 ])
 def test_tables_are_filled_in_between_their_marks_only(folder, block, said):

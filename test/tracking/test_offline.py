@@ -59,10 +59,23 @@ def test_time_may_run_backwards():
     R = wandering()
     error = Rotation.from_rotvec(np.random.default_rng(0).normal(scale=0.003, size=(len(R), 3)))
     forward, backward = told(error * R), told(OTHER_WORLD * R)
-    there = Rotation.concatenate([one.R_world_camera for one in fuse(forward, backward)])
+    there = Rotation.concatenate([one.R_world_camera for one in fuse(forward, backward, 20)])
     back = Rotation.concatenate(
-        [one.R_world_camera for one in fuse(backward[::-1], forward[::-1])])[::-1]
+        [one.R_world_camera for one in fuse(backward[::-1], forward[::-1], 20)])[::-1]
     assert ((there[0].inv() * there).inv() * (back[0].inv() * back)).magnitude().max() < 1e-5
+
+
+def test_who_had_no_hindsight_yet_has_less_say():
+    """At the start the forward pass counts twice, at the end the backward one."""
+    R = Rotation.concatenate([Rotation.identity()] * 60)
+    error = Rotation.from_rotvec(np.outer(0.003 * np.cos(np.arange(60)), (0, 1, 0)))
+    found = [one.R_world_camera for one in fuse(told(error * R), told(R), 10)]
+    shares = [(found[i] * found[30].inv()).as_rotvec()[1] for i in range(60)]
+    known = (error * error[30].inv()).as_rotvec()[:, 1]
+    assert shares[28] == pytest.approx(known[28] / 2, rel=1e-2)
+    absolute = np.array(shares) + error[30].as_rotvec()[1] / 2
+    assert absolute[0] == pytest.approx(error[0].as_rotvec()[1] * 2 / 3, rel=0.1)
+    assert absolute[-1] == pytest.approx(error[-1].as_rotvec()[1] / 3, rel=0.1)
 
 
 def test_who_is_lost_has_no_say():

@@ -29,15 +29,16 @@ MIN_RESIDUAL_RAD = np.deg2rad(0.01)
 LOST_COVARIANCE = np.eye(3)
 
 
-def fuse(forward: list[TrackedOrientation], backward: list[TrackedOrientation]
-         ) -> list[TrackedOrientation]:
+def fuse(forward: list[TrackedOrientation], backward: list[TrackedOrientation],
+         lag_frames: int = 0) -> list[TrackedOrientation]:
     """
     Return the TrackedOrientation of N frames from those of two passes, in the frames' order.
 
     The world is the camera's at the first frame that was seen. Of two that are sure each counts
-    half, of two of which one is lost the other one: weights are ``1 / (σ² + σ_ok²)``. Frames that
-    neither has seen are bridged from both sides. What is returned is as sure as the surer one of
-    both, but for what they disagree by.
+    half, of two of which one is lost the other one: weights are ``1 / (σ² + σ_ok²)``, down to half
+    of that in the last ``lag_frames`` of a pass, for which it had less hindsight or none. Frames
+    that neither has seen are bridged from both sides. What is returned is as sure as the surer one
+    of both, but for what they disagree by.
     """
     passes = (forward, backward)
     nobody = ~np.any([[_is_seen(one) for one in tracked] for tracked in passes], axis=0)
@@ -48,6 +49,8 @@ def fuse(forward: list[TrackedOrientation], backward: list[TrackedOrientation]
     P = np.array([[LOST_COVARIANCE if one.covariance is None else one.covariance
                    for one in tracked] for tracked in passes])
     weights = 1 / (P.trace(axis1=2, axis2=3) / 3 + MAX_OK_SIGMA_RAD ** 2)
+    hindsight = np.minimum(1, np.arange(1, 1 + len(R_f)) / (1 + lag_frames))
+    weights *= (1 + np.array((hindsight[::-1], hindsight))) / 2
     R_b = common_world(R_f, R_b, weights.prod(axis=0) * ~nobody) * R_b
     weights[:, nobody] = bridging(nobody)[:, nobody]
     share = weights[1] / weights.sum(axis=0)

@@ -67,6 +67,11 @@ class HindsightTracker:
         # Of the frames decided so far.
         self.orientations: list[TrackedOrientation] = []
 
+    @property
+    def lag_frames(self) -> int:
+        """Return how many frames one waits for."""
+        return self._options.lag_frames
+
     def track(self, grey: Grey, stamp_ns: int) -> TrackedOrientation:
         """Return what the live tracker says of the next grey sphere (H, W) uint8."""
         tracked = self._tracker.track(grey, stamp_ns)

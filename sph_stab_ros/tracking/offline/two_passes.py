@@ -96,12 +96,14 @@ class FirstReading:
     def finish(self, progress: Progress) -> list[TrackedOrientation]:
         """Return the orientations of all frames, by both passes."""
         forward = self._forward.finish()
+        # Its map is as large as the next one's.
+        del self._forward
         backward = self._make(self._gyro_rotation_backwards())
         greys = progress(self._spool.backwards(), len(self._spool))
         # Time runs backwards, and forwards for the tracker.
         for grey, stamp_ns in zip(greys, reversed(self._stamps_ns)):
             backward.track(grey, -stamp_ns)
-        return fuse(forward, backward.finish()[::-1])
+        return fuse(forward, backward.finish()[::-1], backward.lag_frames)
 
     def _gyro_rotation_backwards(self) -> GyroRotation:
         """Return what tells turns between stamps of the backward pass, as the gyro saw them."""
