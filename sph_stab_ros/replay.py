@@ -233,7 +233,8 @@ def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Sum
         imu = RecordedImu(recording, imu_topic) if imu_topic else None
         return stabilize_recording(
             recording, processor, sinks, args.max_frames, lambda frames: progress(frames, total),
-            imu, pictures=bool(sinks) and args.out is not None, watch=watch), imu
+            # Each time, so that all readings leave out the same.
+            imu, pictures=args.out is not None, watch=watch), imu
 
     with ExitStack() as stack:
         sinks: list[Sink] = []

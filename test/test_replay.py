@@ -26,11 +26,13 @@ from sph_stab_ros.geometry.trajectory import read_tum
 from sph_stab_ros.images.codec import image_from_compressed
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import open_recording, RecordingError
+from sph_stab_ros.recording.bag_writer import BagWriter
 from sph_stab_ros.replay import main
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS, TRUTH_TOPIC
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
-from tiny_recordings import PERIOD_NS, stamps_of, textured_sphere, turning_spheres, write_bag
+from tiny_recordings import (
+    IMAGE_TOPIC, PERIOD_NS, stamps_of, textured_sphere, turning_spheres, write_bag)
 
 BAGS = Path(__file__).resolve().parents[1] / 'bags'
 IMAGE = textured_sphere()
@@ -82,6 +84,28 @@ def test_offline_the_virtual_camera_turns_with_the_camera_not_behind(
         quaternions = [m.quaternion for _, m in out.messages('virtual_orientation')]
         shown = Rotation.from_quat([(q.x, q.y, q.z, q.w) for q in quaternions])
         assert (angles_deg(shown, turning[1]).max() < 0.3) == bool(flags)
+
+
+def test_offline_sizes_may_change_and_pictures_be_damaged(turning, tmp_path):
+    """All readings use the same pictures, and go on at the last one of another size."""
+    bag = tmp_path / 'bag'
+    images, R = turning_spheres(24)
+    with BagWriter(bag) as writer:
+        for i, (image, stamp_ns) in enumerate(zip(images, stamps_of(24).tolist())):
+            if i >= 12:
+                image = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            data = cv2.imencode('.jpg', image)[1]
+            if i in (4, 17):
+                data[600:-2] = 0
+            writer.write(IMAGE_TOPIC, writer.make(
+                'sensor_msgs/msg/CompressedImage', format='jpeg', data=data,
+                header=writer.header(stamp_ns, 'theta_camera')), stamp_ns)
+    for out in ((), (tmp_path / 'out.mp4',)):
+        call(bag, *out, '--offline', '--trajectory', tmp_path / 'out.tum', '--force')
+        trajectory = read_tum(tmp_path / 'out.tum')
+        used = np.isin(stamps_of(24), trajectory.stamps_ns)
+        assert used.sum() >= 22
+        assert angles_deg(trajectory.rotations, R[used]).max() < 0.5
 
 
 def test_offline_what_is_left_out_is_told_once(turning, tmp_path, capsys, caplog):

@@ -8,6 +8,7 @@
 
 """Two passes over a recording: how they are fused, and what they find in a painted room."""
 
+from errno import ENOSPC
 from itertools import accumulate
 from operator import mul
 
@@ -18,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import TrackerConfig
 from sph_stab_ros.tracking.base import no_gyro, TrackedOrientation, TrackingStatus
-from sph_stab_ros.tracking.offline import TwoPasses
+from sph_stab_ros.tracking.offline import grey_spool, TwoPasses
 from sph_stab_ros.tracking.offline.fusion import fuse
 from sph_stab_ros.tracking.offline.grey_spool import GreySpool
 
@@ -193,3 +194,14 @@ def test_a_spool_gives_back_what_was_put_in_the_last_one_first():
     back = list(spool.backwards())[::-1]
     for a, b in zip(images, back, strict=True):
         assert np.abs(a.astype(int) - b).mean() < 2
+
+
+def test_a_spool_that_does_not_fit_says_so(monkeypatch):
+    """In one line, with the folder that has no room."""
+    class Full:
+
+        def write(self, data):
+            raise OSError(ENOSPC, 'No space left on device')
+    monkeypatch.setattr(grey_spool, 'TemporaryFile', Full)
+    with pytest.raises(grey_spool.SpoolError, match='takes no more .* No space left on device'):
+        GreySpool().add(BLACK)

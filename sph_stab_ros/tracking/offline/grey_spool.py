@@ -9,7 +9,7 @@
 """Greys of a recording in a temporary file: memory does not grow with their number."""
 
 from collections.abc import Iterator
-from tempfile import TemporaryFile
+from tempfile import gettempdir, TemporaryFile
 
 import cv2
 import numpy as np
@@ -21,11 +21,18 @@ from sph_stab_ros.geometry.arrays import Grey
 QUALITY = 95
 
 
+class SpoolError(Exception):
+    """There is no room for the pictures, said in one line."""
+
+
 class GreySpool:
     """Grey spheres on disk, to be read from the last to the first; the file has no name."""
 
     def __init__(self) -> None:
-        self._file = TemporaryFile()
+        try:
+            self._file = TemporaryFile()
+        except OSError as error:
+            raise SpoolError(f'no temporary file can be made: {error.strerror}') from error
         self._sizes: list[int] = []
 
     def __len__(self) -> int:
@@ -34,7 +41,14 @@ class GreySpool:
     def add(self, grey: Grey) -> None:
         """Write one more."""
         data = cv2.imencode('.jpg', grey, (cv2.IMWRITE_JPEG_QUALITY, QUALITY))[1]
-        self._sizes.append(self._file.write(data))
+        try:
+            self._file.write(data)
+            # So that what does not fit is known now.
+            self._file.flush()
+        except OSError as error:
+            raise SpoolError(f'{gettempdir()} (TMPDIR) takes no more temporary pictures: '
+                             f'{error.strerror}') from error
+        self._sizes.append(len(data))
 
     def backwards(self) -> Iterator[Grey]:
         """Yield all of them, the last one first, and close the file."""

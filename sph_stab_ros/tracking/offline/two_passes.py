@@ -36,8 +36,8 @@ class TwoPasses:
     """
 
     def __init__(self) -> None:
-        # One for each size of the frames.
-        self._readings: list[FirstReading] = []
+        self._reading: FirstReading | None = None
+        # For each size that the frames have had.
         self._orientations: list[list[TrackedOrientation]] = []
         self._told = 0
 
@@ -48,13 +48,15 @@ class TwoPasses:
             tracker = make_tracker(config, width, gyro_rotation, seen)
             assert isinstance(tracker, AnchoredTracker), 'the others have no landmarks'
             return HindsightTracker(tracker)
-        self._readings.append(FirstReading(make, gyro_rotation))
-        return self._readings[-1]
+        self.finish()
+        self._reading = FirstReading(make, gyro_rotation)
+        return self._reading
 
     def finish(self, progress: Progress = lambda greys, count: greys) -> None:
         """Track backwards what was taken in."""
-        self._orientations = [one.finish(progress) for one in self._readings]
-        self._readings.clear()
+        if self._reading is not None:
+            self._orientations.append(self._reading.finish(progress))
+            self._reading = None
 
     def known_tracker(self, *_: Any) -> Tracker:
         """Return the Tracker that tells the orientations of frames that are read once more."""
