@@ -1,0 +1,127 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""An open source: how it is opened, why it cannot be, and when its packets are due."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event
+from time import monotonic
+from typing import Any, TYPE_CHECKING
+
+from sph_stab_ros.images.video.decoder import INSTALL
+from sph_stab_ros.live.address import Address, Kind, SourceError
+
+if TYPE_CHECKING:
+    import av
+
+# What does not come for so long does not come.
+OPEN_S, READ_S = 10., 5.
+# AVFMT_NOTIMESTAMPS of FFmpeg's: what such formats show as times is made up.
+NO_TIMES = 0x80
+# And what such as these show is counted by a rate that they may not keep.
+COUNTED = ('rawvideo', 'yuv4mpegpipe')
+# Who does not wait so long for a packet in so much time cannot keep up with them.
+WAITED_S, PATIENCE_S = 0.01, 2.
+
+
+@contextmanager
+def opened(address: Address) -> Iterator['av.container.InputContainer']:
+    """Give the open container, by the first choice of options that the source takes."""
+    import av
+    # A pipe cannot be opened again: who writes into it takes the time that it takes.
+    timeout = None if address.kind is Kind.PIPE else (OPEN_S, READ_S)
+    for options in address.choices:
+        try:
+            container = av.open(address.url, format=address.format, options=options,
+                                timeout=timeout, metadata_errors='replace')
+        except av.ArgumentError:
+            # So the driver of a device says that it does not have such pictures.
+            if options is address.choices[-1]:
+                raise
+        else:
+            break
+    with container:
+        yield container
+
+
+def is_recording(address: Address, container: 'av.container.InputContainer') -> bool:
+    """Tell whether it is us who let the time of the pictures pass."""
+    return address.may_be_finite and bool(container.duration)
+
+
+def has_times(container: 'av.container.InputContainer') -> bool:
+    """Tell whether the times of packets are those of pictures."""
+    form = container.format
+    return not (form.flags & NO_TIMES or form.name.endswith('_pipe') or form.name in COUNTED)
+
+
+def reason_of(error: Exception, address: Address) -> tuple[str, bool]:
+    """Return in words why a source cannot be read, and whether that will stay so."""
+    import av
+    if isinstance(error, SourceError):
+        return str(error), False
+    if isinstance(error, av.ProtocolNotFoundError):
+        return f"this FFmpeg has no protocol '{address.scheme}'", True
+    if isinstance(error, (av.DemuxerNotFoundError, av.OptionNotFoundError)):
+        return str(error.strerror).lower(), True
+    if isinstance(error, av.ExitError):
+        return 'nothing comes', False
+    if isinstance(error, av.InvalidDataError):
+        return 'what comes cannot be read as video', False
+    if isinstance(error, av.FFmpegError):
+        return f'it cannot be read: {error.strerror}', False
+    if isinstance(error, ValueError) and 'no container format' in str(error):
+        return str(error), True
+    return f'it cannot be read: {error!r}', False
+
+
+class Pace:
+    """Lets the packets of a recording wait for their time."""
+
+    def __init__(self, closing: Event) -> None:
+        self._closing = closing
+        self._begin_s: float | None = None
+
+    def wait(self, packet: 'av.Packet[Any]') -> None:
+        """Wait until a packet is due."""
+        if packet.dts is None or not packet.time_base:
+            return
+        at_s = float(packet.dts * packet.time_base)
+        if self._begin_s is None:
+            self._begin_s = monotonic() - at_s
+        self._closing.wait(max(self._begin_s + at_s - monotonic(), 0))
+
+
+class Backlog:
+    """Tells whether packets must be left out, since they come faster than they are decoded."""
+
+    def __init__(self) -> None:
+        self._leaves_out = False
+        self.begin()
+        self._waited_s = self._read_s
+
+    def begin(self) -> None:
+        """Begin to wait for a packet."""
+        self._read_s = monotonic()
+
+    def is_too_long(self) -> bool:
+        """Take in that it has come; packets are left out until one has to be waited for."""
+        now_s = monotonic()
+        if now_s - self._read_s > WAITED_S:
+            self._leaves_out, self._waited_s = False, now_s
+        self._leaves_out |= now_s - self._waited_s > PATIENCE_S
+        return self._leaves_out
+
+
+def require_pyav() -> None:
+    """Raise SourceError where there is no PyAV."""
+    try:
+        import av  # noqa: F401
+    except ImportError:
+        raise SourceError(f'a source {INSTALL}') from None
