@@ -31,6 +31,8 @@ DEVICE_CHOICES: tuple[dict[str, str], ...] = (
 # Options by which a user has chosen.
 CHOOSING = {'input_format', 'pixel_format', 'video_size'}
 DEVICE = re.compile(r'/dev/(video\d+|v4l/.+)')
+# The other one is FFmpeg's, and easier to write in YAML.
+STANDARD_INPUT = ('-', 'pipe:0')
 SCHEME = re.compile(r'([a-z][a-z0-9+.-]*)://', re.IGNORECASE)
 PASSWORD = re.compile(r'(?<=://)([^/@:]*):[^/@]*@')
 
@@ -88,7 +90,7 @@ def address_of(text: str, options: str = '') -> Address:
     """
     given = given_options(options)
     form = given.pop('format', None)
-    if text == '-':
+    if text in STANDARD_INPUT:
         return Address('standard input', Kind.PIPE, 'pipe:0', form, ({**PROBING, **given},))
     if DEVICE.fullmatch(text):
         choices = ({},) if CHOOSING & given.keys() else DEVICE_CHOICES

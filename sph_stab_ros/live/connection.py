@@ -71,7 +71,7 @@ def reason_of(error: Exception, address: Address) -> tuple[str, bool]:
     if isinstance(error, (av.DemuxerNotFoundError, av.OptionNotFoundError)):
         return str(error.strerror).lower(), True
     if isinstance(error, av.ExitError):
-        return 'nothing comes', False
+        return 'nothing that is video comes', False
     if isinstance(error, av.InvalidDataError):
         return 'what comes cannot be read as video', False
     if isinstance(error, av.FFmpegError):

@@ -16,7 +16,7 @@ is unplugged and plugged in again, a sender is killed and started.
 from collections.abc import Callable
 from threading import Event, Thread
 from time import monotonic, monotonic_ns, time_ns
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple, Protocol, TYPE_CHECKING
 
 from sph_stab_ros.images.frame import Frame, PictureSource
 from sph_stab_ros.images.image_error import ImageError
@@ -36,6 +36,16 @@ ONCE = Kind.PIPE, Kind.FILE
 # A read cannot be interrupted before its time is over.
 ENDING_S = 1.
 CONNECTING, CONNECTED, RECONNECTING, ENDED = 'connecting', 'connected', 'reconnecting', 'ended'
+
+
+class Log(Protocol):
+    """Where users read."""
+
+    def info(self, text: str) -> Any:
+        """Say how it is."""
+
+    def warning(self, text: str) -> Any:
+        """Say what is wrong."""
 
 
 class LivePicture(NamedTuple):
@@ -70,19 +80,19 @@ class LiveSource:
         What to read.
     take
         Takes each LivePicture, and at once: meanwhile nothing is read.
-    say
-        Told in one line of what users should hear of.
+    log
+        Told in one line of what users should hear of: a ``logging.Logger`` or one of rclpy's.
     refuse
         Told of each picture that cannot be used.
 
     """
 
     def __init__(self, address: Address, take: Callable[[LivePicture], Any],
-                 say: Callable[[str], Any], refuse: Callable[[ImageError], Any]) -> None:
+                 log: Log, refuse: Callable[[ImageError], Any]) -> None:
         require_pyav()
         self.state = SourceState()
         self._address = address
-        self._take, self._say, self._refuse = take, say, refuse
+        self._take, self._log, self._refuse = take, log, refuse
         self._clock = CaptureClock()
         self._closing = Event()
         self._thread = Thread(target=self._run, name='source', daemon=True)
@@ -128,7 +138,7 @@ class LiveSource:
             if not container.streams.video:
                 raise SourceError('there is no video in what comes')
             stream = container.streams.video[0]
-            decoder = PacketDecoder(stream, self._say)
+            decoder = PacketDecoder(stream, self._log.warning)
             pace = Pace(self._closing) if is_recording(self._address, container) else None
             backlog, is_timed = Backlog(), has_times(container)
             self._clock.restart()
@@ -171,13 +181,16 @@ class LiveSource:
             CONNECTED, '', codec, size_wh, self._clock.name,
             old.connections + (old.status != CONNECTED), old.pictures + 1)
         if old.status != CONNECTED:
-            self._say(f'{self._address.name}: {codec}, {width}x{height}')
+            self._log.info(f'{self._address.name}: {codec}, {width}x{height}')
         elif old.size_wh != size_wh:
-            self._say(f'{self._address.name}: the pictures are {width}x{height} now')
+            self._log.warning(f'{self._address.name}: the pictures are {width}x{height} now')
         self._take(picture)
 
     def _lose(self, why: str, is_over: bool) -> None:
         """Take note of why nothing comes, and say it once."""
-        if why != self.state.why:
-            self._say(f'{self._address.name}: {why}' + ('' if is_over else '; trying again'))
+        if is_over and self.state.pictures:
+            self._log.info(f'{self._address.name}: {why}')
+        elif why != self.state.why:
+            self._log.warning(
+                f'{self._address.name}: {why}' + ('' if is_over else '; trying again'))
         self.state = self.state._replace(status=ENDED if is_over else RECONNECTING, why=why)
