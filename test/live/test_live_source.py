@@ -116,7 +116,7 @@ def by_udp():
 
 @contextmanager
 def by_rtmp():
-    """A camera that sends to us."""
+    """Listen for a camera that sends."""
     url = f'rtmp://127.0.0.1:{free_port(socket.SOCK_STREAM)}/live/sphere'
     with reading(url, 'listen=1') as reader, sending(url, 'flv'):
         yield reader
