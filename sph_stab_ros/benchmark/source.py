@@ -11,8 +11,8 @@ Measure the node with a source: from the picture in the sender to the orientatio
 
 Pictures of a recording, enlarged, are encoded as H.264 and sent by RTSP at their rate, from a
 process of its own; the node reads them by its parameter ``source``. Latency is from when a picture
-was due in the sender, before it was encoded, to the receipt of its orientation. Which picture that
-is tells the stamp, which is of the sender's clock (RTCP).
+was given to the encoder to the receipt of its orientation. Which picture that is tells the stamp,
+which is of the sender's clock (RTCP).
 """
 
 from argparse import Namespace
@@ -53,8 +53,12 @@ LISTEN_S = 9
 ENCODER = {'preset': 'ultrafast', 'tune': 'zerolatency', 'threads': '1'}
 
 
-def send(args: Namespace, url: str) -> tuple[int, float]:
-    """Send the pictures once somebody listens; return the first one's time, and CPU percent."""
+def send(args: Namespace, url: str) -> tuple[int, list[int], float]:
+    """
+    Send the pictures once somebody listens.
+
+    Return when the muxer's time began, when each picture was taken, and CPU percent.
+    """
     import av
     width, height = args.width, args.width // 2
     pictures = [
@@ -75,14 +79,15 @@ def send(args: Namespace, url: str) -> tuple[int, float]:
                 container.start_encoding()
                 start_ns, used_s = time.time_ns(), time.process_time()
                 there_and_back = cycle(chain(pictures, pictures[-2:0:-1]))
-                for index in range(sent_frames(args)):
-                    picture = next(there_and_back)
+                taken_ns: list[int] = []
+                for index, picture in enumerate(islice(there_and_back, sent_frames(args))):
                     picture.pts = index
                     due_ns = start_ns + round(index / args.rate * NS_PER_S)
                     time.sleep(max(due_ns - time.time_ns(), 0) / NS_PER_S)
+                    taken_ns.append(time.time_ns())
                     container.mux(stream.encode(picture))
                 wall_s = (time.time_ns() - start_ns) / NS_PER_S
-                return start_ns, 100 * (time.process_time() - used_s) / wall_s
+                return start_ns, taken_ns, 100 * (time.process_time() - used_s) / wall_s
         except av.ConnectionRefusedError:
             if time.monotonic() > end_s:
                 raise
@@ -133,17 +138,17 @@ def measure(args: Namespace) -> Figures:
         end_s = time.monotonic() + SILENCE_S
         while time.monotonic() < end_s:
             rclpy.spin_once(node, timeout_sec=0.1)
-        start_ns, sender_percent = sending.result()
-    result = figures(args, start_ns, orientations, views)
+        start_ns, taken_ns, sender_percent = sending.result()
+    result = figures(args, start_ns, taken_ns, orientations, views)
     if len(used_s) > 1:
         wall_s, node_s = np.subtract(used_s[-1], used_s[0])
         result['cpu_percent'] = {'node': 100 * node_s / wall_s, 'sender': sender_percent}
     return {**result, 'diagnostics': said}
 
 
-def figures(args: Namespace, start_ns: int, orientations: dict[int, int], views: dict[int, int]
-            ) -> Figures:
-    """Return what became of those pictures that count, the first of all being due at a time."""
+def figures(args: Namespace, start_ns: int, taken_ns: Sequence[int],
+            orientations: dict[int, int], views: dict[int, int]) -> Figures:
+    """Return what became of those pictures that count, given when they were taken."""
     first = round(WARM_UP_S * args.rate)
     result: Figures = {'width': args.width, 'rate_hz': args.rate, 'frames': args.frames}
     for name, received_ns in ('orientations', orientations), ('views', views):
@@ -151,7 +156,7 @@ def figures(args: Namespace, start_ns: int, orientations: dict[int, int], views:
         for stamp, received in received_ns.items():
             index = round((stamp - start_ns) * args.rate / NS_PER_S)
             if first <= index < first + args.frames:
-                latency_ms[index] = (received - start_ns) / 1e6 - 1e3 * index / args.rate
+                latency_ms[index] = (received - taken_ns[index]) / 1e6
         result[name] = len(latency_ms)
         result[f'{name}_latency_ms'] = percentiles([*latency_ms.values()])
     return result

@@ -15,10 +15,32 @@ ARRIVAL, DEVICE, SENDER = 'arrival', 'device', 'sender'
 MOST_AHEAD_NS, MOST_DELAY_NS = NS_PER_S // 20, 2 * NS_PER_S
 # Beyond, a stream counts from another time on.
 MOST_JITTER_NS = 2 * NS_PER_S
-# Clocks drift apart, and the times of some streams are those of a rate that they do not keep.
-WINDOW_NS = 2 * NS_PER_S
+# Clocks drift apart, and the times of some streams are those of a rate that they do not keep: for
+# so long the least delay counts, for stamps, and to tell who is late.
+WINDOW_NS, LATE_WINDOW_NS = 2 * NS_PER_S, 60 * NS_PER_S
 # With which AVProducerReferenceTime begins, in microseconds.
 TIME_BYTES = 8
+
+
+class Minimum:
+    """The least of what was added in the last window of time, or in the last two."""
+
+    def __init__(self, window_ns: int) -> None:
+        self.value: int | None = None
+        self._window_ns, self._begin_ns = window_ns, 0
+        self._present = 0
+
+    def add(self, value: int, now_ns: int) -> int:
+        """Add a value; return the least one."""
+        if self.value is None:
+            self._begin_ns, self._present = now_ns, value
+            self.value = value
+        elif now_ns - self._begin_ns > self._window_ns:
+            self._begin_ns, self.value = now_ns, min(self._present, value)
+            self._present = value
+        else:
+            self._present, self.value = min(self._present, value), min(self.value, value)
+        return self.value
 
 
 class CaptureClock:
@@ -30,7 +52,8 @@ class CaptureClock:
     of the last seconds that was delayed least: how long others were held up on the way is nobody's
     motion.
 
-    ``name`` says which clock it is.
+    ``name`` says which clock it is, ``late_ns`` by how much more the last packet was delayed than
+    the least delayed one of the last minute.
     """
 
     def __init__(self) -> None:
@@ -39,22 +62,20 @@ class CaptureClock:
 
     def restart(self) -> None:
         """Begin with another connection."""
-        self.name = ARRIVAL
+        self.name, self.late_ns = ARRIVAL, 0
         self._told: tuple[str, int] | None = None
-        # What must be added by the arrivals of this window, and of the one before.
-        self._offsets_ns: list[int] = []
-        self._window_ns = 0
+        # What must be added by the arrivals, in the last seconds and in the last minute.
+        self._recent, self._lately = Minimum(WINDOW_NS), Minimum(LATE_WINDOW_NS)
         self._pts_ns: int | None = None
 
     def arrive(self, pts_ns: int, arrival_ns: int) -> None:
         """Take in when a packet has come, of a picture with this time by the stream."""
         offset_ns = arrival_ns - pts_ns
-        if not self._offsets_ns or abs(offset_ns - min(self._offsets_ns)) > MOST_JITTER_NS:
-            self._offsets_ns, self._window_ns = [offset_ns], arrival_ns
-        elif arrival_ns - self._window_ns > WINDOW_NS:
-            self._offsets_ns, self._window_ns = [self._offsets_ns[-1], offset_ns], arrival_ns
-        else:
-            self._offsets_ns[-1] = min(self._offsets_ns[-1], offset_ns)
+        least_ns = self._recent.value
+        if least_ns is not None and abs(offset_ns - least_ns) > MOST_JITTER_NS:
+            self._recent, self._lately = Minimum(WINDOW_NS), Minimum(LATE_WINDOW_NS)
+        self._recent.add(offset_ns, arrival_ns)
+        self.late_ns = offset_ns - self._lately.add(offset_ns, arrival_ns)
 
     def hear_sender(self, side_data: bytes, pts_ns: int) -> None:
         """Take in what RTCP says of a packet: the side data "producer reference time"."""
@@ -69,8 +90,8 @@ class CaptureClock:
     def stamp_ns(self, pts_ns: int | None, arrival_ns: int) -> int:
         """Return the stamp of a picture, of this time by the stream if it has any."""
         stamp_ns, step_ns, self.name = arrival_ns, 0, ARRIVAL
-        if pts_ns is not None and self._offsets_ns:
-            stamp_ns = pts_ns + min(self._offsets_ns)
+        if pts_ns is not None and self._recent.value is not None:
+            stamp_ns = pts_ns + self._recent.value
             if self._told is not None:
                 name, offset_ns = self._told
                 if -MOST_AHEAD_NS <= arrival_ns - pts_ns - offset_ns <= MOST_DELAY_NS:

@@ -14,6 +14,7 @@ from threading import Event
 from time import monotonic
 from typing import Any, TYPE_CHECKING
 
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.video.decoder import INSTALL
 from sph_stab_ros.live.address import Address, Kind, SourceError
 
@@ -26,8 +27,10 @@ OPEN_S, READ_S = 10., 5.
 NO_TIMES = 0x80
 # And what such as these show is counted by a rate that they may not keep.
 COUNTED = ('rawvideo', 'yuv4mpegpipe')
-# Who does not wait so long for a packet in so much time cannot keep up with them.
-WAITED_S, PATIENCE_S = 0.01, 2.
+# Who does not wait so long for a packet in so much time cannot keep up with them; who is so late
+# only keeps up if waiting takes longer than the work, since reading may wait for other threads.
+WAITED_S, PATIENCE_S = 0.01, 1.
+MOST_LATE_NS, CAUGHT_UP_NS = NS_PER_S // 2, NS_PER_S // 10
 
 
 @contextmanager
@@ -99,23 +102,31 @@ class Pace:
 
 
 class Backlog:
-    """Tells whether packets must be left out, since they come faster than they are decoded."""
+    """
+    Tells whether packets must be left out, since they come faster than they are decoded.
+
+    Told, by the steady clock, when reading begins and ends; and by how much the packet that was
+    read comes later than the least delayed ones.
+    """
 
     def __init__(self) -> None:
         self._leaves_out = False
-        self.begin()
-        self._waited_s = self._read_s
+        self._begin_s = self._worked_s = 0.
+        self._kept_up_s: float | None = None
 
-    def begin(self) -> None:
-        """Begin to wait for a packet."""
-        self._read_s = monotonic()
+    def begin(self, now_s: float, worked_s: float) -> None:
+        """Begin to read, after so much work on the packet before."""
+        self._begin_s = now_s
+        # Those that are left out are none.
+        self._worked_s = self._worked_s if self._leaves_out else worked_s
 
-    def is_too_long(self) -> bool:
-        """Take in that it has come; packets are left out until one has to be waited for."""
-        now_s = monotonic()
-        if now_s - self._read_s > WAITED_S:
-            self._leaves_out, self._waited_s = False, now_s
-        self._leaves_out |= now_s - self._waited_s > PATIENCE_S
+    def is_too_long(self, now_s: float, late_ns: int) -> bool:
+        """End to read; packets are left out until one has to be waited for."""
+        is_late = late_ns > (CAUGHT_UP_NS if self._leaves_out else MOST_LATE_NS)
+        waited_s = now_s - self._begin_s
+        if self._kept_up_s is None or waited_s > (self._worked_s if is_late else WAITED_S):
+            self._leaves_out, self._kept_up_s = False, now_s
+        self._leaves_out |= now_s - self._kept_up_s > PATIENCE_S
         return self._leaves_out
 
 

@@ -142,6 +142,7 @@ class LiveSource:
             pace = Pace(self._closing) if is_recording(self._address, container) else None
             backlog, is_timed = Backlog(), has_times(container)
             self._clock.restart()
+            backlog.begin(monotonic(), 0.)
             for packet in container.demux(stream):
                 if pace:
                     pace.wait(packet)
@@ -151,10 +152,12 @@ class LiveSource:
                     continue
                 pts_ns, arrival_ns = pts_ns_of(packet) if is_timed else None, time_ns()
                 self._hear_clock(packet, pts_ns, arrival_ns)
-                if not (backlog.is_too_long() and decoder.finds_gaps):
+                received_s = monotonic()
+                is_too_long = backlog.is_too_long(received_s, self._clock.late_ns)
+                if not (is_too_long and decoder.finds_gaps):
                     for shown_ns, outcome in decoder.decode(packet, pts_ns, arrival_ns):
                         self._give(shown_ns, outcome, arrival_ns, decoder.codec)
-                backlog.begin()
+                backlog.begin(monotonic(), monotonic() - received_s)
             for shown_ns, outcome in decoder.flush():
                 self._give(shown_ns, outcome, time_ns(), decoder.codec)
 
