@@ -52,8 +52,10 @@ TIMEOUT_S = 30.
 SETTLING_S = 0.5
 GOODBYES_S = 1.
 COMPRESSED = ('-p', 'image_transport:=compressed')
-# Best effort may lose raw images that exceed the 0.5 MB of Fast DDS's shared memory by default.
-RELIABLE = ('-p', 'qos_overrides./image.subscription.reliability:=reliable')
+# Best effort may lose any image, and raw ones that exceed the 0.5 MB of Fast DDS's shared memory
+# by default often: whoever waits for the answer to one image would wait in vain.
+RELIABLE = tuple(word for topic in ('image', 'image/compressed') for word in (
+    '-p', f'qos_overrides./{topic}.subscription.reliability:=reliable'))
 
 
 def free_domains():
@@ -292,8 +294,12 @@ def leave(node, executor):
 
 @contextmanager
 def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, namespace='',
-               views=('view',), domain=None, camera=True):
-    """Run the node with ROS arguments; give a Peer, with a camera, and leave neither behind."""
+               views=('view',), domain=None, camera=True, reliable=True):
+    """
+    Run the node with ROS arguments; give a Peer, with a camera, and leave neither behind.
+
+    Unless ``reliable`` is False, no image is lost on the way.
+    """
     domain = domain or next(DOMAINS)
     log = tmp_path / f'node{namespace}.log'
     if namespace:
@@ -301,7 +307,7 @@ def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, 
     with open(log, 'w') as log_file:
         process = subprocess.Popen(
             [sys.executable, '-m', 'sph_stab_ros.stabilizer', '--ros-args',
-             *(COMPRESSED if compressed else RELIABLE), *arguments],
+             *(COMPRESSED if compressed else ()), *(RELIABLE if reliable else ()), *arguments],
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, stdout=log_file, stderr=log_file)
     peer = None
     try:
