@@ -13,7 +13,6 @@ from typing import Any, TYPE_CHECKING, TypeAlias
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import whole_file
-from sph_stab_ros.images.frame import PictureSource
 from sph_stab_ros.images.image_error import ImageError
 from sph_stab_ros.images.jpeg import JpegFile
 from sph_stab_ros.images.picture_time import Stamp
@@ -31,8 +30,9 @@ VIDEO = {'h264': ('h264', 'h264_mp4toannexb'), 'hevc': ('h265', 'hevc_mp4toannex
 # Of MP4, Matroska and FLV, whose packets have lengths in place of start codes.
 CONFIGURATION = b'\1'
 
+LiveImage: TypeAlias = JpegFile | VideoPicture
 # The time of a picture in ns by the stream, and the picture or why there is none.
-Decoded: TypeAlias = tuple[int | None, PictureSource | ImageError]
+Decoded: TypeAlias = tuple[int | None, LiveImage | ImageError]
 
 
 class PacketDecoder:

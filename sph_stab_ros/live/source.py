@@ -18,13 +18,12 @@ from threading import Event, Thread
 from time import monotonic, monotonic_ns, time_ns
 from typing import Any, NamedTuple, Protocol, TYPE_CHECKING
 
-from sph_stab_ros.images.frame import Frame, PictureSource
 from sph_stab_ros.images.image_error import ImageError
 from sph_stab_ros.live.address import Address, Kind, SourceError
 from sph_stab_ros.live.capture_clock import CaptureClock
 from sph_stab_ros.live.connection import (
     Backlog, has_times, is_recording, opened, Pace, reason_of, require_pyav)
-from sph_stab_ros.live.packets import PacketDecoder, pts_ns_of
+from sph_stab_ros.live.packets import LiveImage, PacketDecoder, pts_ns_of
 
 if TYPE_CHECKING:
     import av
@@ -51,13 +50,18 @@ class Log(Protocol):
 class LivePicture(NamedTuple):
     """A picture, its stamp in ns since 1970, and when it came in by the steady clock."""
 
-    source: PictureSource
+    source: LiveImage
     stamp_ns: int
     received_s: float
 
 
 class SourceState(NamedTuple):
-    """What a LiveSource is about; ``why`` says why it is not connected, '' where it is."""
+    """
+    What a LiveSource is about.
+
+    ``why`` says why it is not connected, '' where it is; ``pictures`` have come in all, and packets
+    were ``left_out`` since decoding did not keep up.
+    """
 
     status: str = CONNECTING
     why: str = ''
@@ -66,6 +70,7 @@ class SourceState(NamedTuple):
     clock: str = ''
     connections: int = 0
     pictures: int = 0
+    left_out: int = 0
 
 
 class LiveSource:
@@ -154,7 +159,9 @@ class LiveSource:
                 self._hear_clock(packet, pts_ns, arrival_ns)
                 received_s = monotonic()
                 is_too_long = backlog.is_too_long(received_s, self._clock.late_ns)
-                if not (is_too_long and decoder.finds_gaps):
+                if is_too_long and decoder.finds_gaps:
+                    self.state = self.state._replace(left_out=self.state.left_out + 1)
+                else:
                     for shown_ns, outcome in decoder.decode(packet, pts_ns, arrival_ns):
                         self._give(shown_ns, outcome, arrival_ns, decoder.codec)
                 backlog.begin(monotonic(), monotonic() - received_s)
@@ -170,24 +177,23 @@ class LiveSource:
         elif packet.has_sidedata('prft'):
             self._clock.hear_sender(bytes(packet.get_sidedata('prft')), pts_ns)
 
-    def _give(self, pts_ns: int | None, outcome: PictureSource | ImageError, arrival_ns: int,
+    def _give(self, pts_ns: int | None, outcome: LiveImage | ImageError, arrival_ns: int,
               codec: str) -> None:
         """Pass on a picture, or why there is none."""
         if isinstance(outcome, ImageError):
             self._refuse(outcome)
             return
-        picture = LivePicture(outcome, self._clock.stamp_ns(pts_ns, arrival_ns), monotonic())
-        size_wh = Frame(outcome, picture.stamp_ns).size_wh
-        width, height = size_wh
+        stamp_ns = self._clock.stamp_ns(pts_ns, arrival_ns)
+        width, height = size_wh = outcome.size_wh
         old = self.state
         self.state = SourceState(
             CONNECTED, '', codec, size_wh, self._clock.name,
-            old.connections + (old.status != CONNECTED), old.pictures + 1)
+            old.connections + (old.status != CONNECTED), old.pictures + 1, old.left_out)
         if old.status != CONNECTED:
             self._log.info(f'{self._address.name}: {codec}, {width}x{height}')
         elif old.size_wh != size_wh:
             self._log.warning(f'{self._address.name}: the pictures are {width}x{height} now')
-        self._take(picture)
+        self._take(LivePicture(outcome, stamp_ns, monotonic()))
 
     def _lose(self, why: str, is_over: bool) -> None:
         """Take note of why nothing comes, and say it once."""

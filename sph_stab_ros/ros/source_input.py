@@ -49,8 +49,12 @@ class SourceInput:
         except SourceError as error:
             raise ConfigError(str(error)) from None
         self.name = address.name
-        self.dropped = 0
         self._period_s, self._counted = monotonic(), 0
+
+    @property
+    def dropped(self) -> int:
+        """Return how many pictures were not decoded, since others came too soon."""
+        return self._source.state.left_out
 
     def why_silent(self) -> str:
         """Return why nothing comes, '' where something does."""
