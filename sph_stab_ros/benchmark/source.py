@@ -41,7 +41,8 @@ from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.recording import decoded_frames, open_recording
+from sph_stab_ros.live.capture_clock import SENDER
+from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.ros.messages import stamp_ns
 
@@ -139,6 +140,9 @@ def measure(args: Namespace) -> Figures:
         while time.monotonic() < end_s:
             rclpy.spin_once(node, timeout_sec=0.1)
         start_ns, taken_ns, sender_percent = sending.result()
+    if said.get('source_stamps') != SENDER:
+        # From PyAV 17 on they are, unless one of them is two seconds behind.
+        raise RecordingError("the stamps are not of the sender's clock: no picture is recognised")
     result = figures(args, start_ns, taken_ns, orientations, views)
     if len(used_s) > 1:
         wall_s, node_s = np.subtract(used_s[-1], used_s[0])

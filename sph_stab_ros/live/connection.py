@@ -10,6 +10,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from errno import EINVAL
 from threading import Event
 from time import monotonic
 from typing import Any, TYPE_CHECKING
@@ -27,6 +28,8 @@ OPEN_S, READ_S = 10., 5.
 NO_TIMES = 0x80
 # And what such as these show is counted by a rate that they may not keep.
 COUNTED = ('rawvideo', 'yuv4mpegpipe')
+# libavformat of FFmpeg 8.1. With 8.0 a process that listens for RTMP ends by a segmentation fault.
+RTMP_SERVER = 62, 12
 # Who does not wait so long for a packet in so much time cannot keep up with them; who is so late
 # only keeps up if waiting takes longer than the work, since reading may wait for other threads.
 WAITED_S, PATIENCE_S = 0.01, 1.
@@ -43,9 +46,9 @@ def opened(address: Address) -> Iterator['av.container.InputContainer']:
         try:
             container = av.open(address.url, format=address.format, options=options,
                                 timeout=timeout, metadata_errors='replace')
-        except av.ArgumentError:
+        except av.FFmpegError as error:
             # So the driver of a device says that it does not have such pictures.
-            if options is address.choices[-1]:
+            if error.errno != EINVAL or options is address.choices[-1]:
                 raise
         else:
             break
@@ -130,9 +133,13 @@ class Backlog:
         return self._leaves_out
 
 
-def require_pyav() -> None:
-    """Raise SourceError where there is no PyAV."""
+def require_pyav(address: Address) -> None:
+    """Raise SourceError where there is no PyAV, or none that can read an address."""
     try:
-        import av  # noqa: F401
+        import av
     except ImportError:
         raise SourceError(f'a source {INSTALL}') from None
+    is_server = address.scheme.startswith('rtmp') and 'listen' in address.choices[0]
+    if is_server and av.library_versions['libavformat'] < RTMP_SERVER:
+        raise SourceError('listening for RTMP needs PyAV 17.1 or newer: with the FFmpeg of this '
+                          'one it ends the process')

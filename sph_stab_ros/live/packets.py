@@ -119,6 +119,18 @@ class PacketDecoder:
                                              self._stream.sample_aspect_ratio)
 
 
+def sender_time(packet: 'av.Packet[Any]') -> bytes | None:
+    """Return what RTCP says of a packet, the side data "producer reference time", if it does."""
+    if not packet.has_sidedata('prft'):
+        return None
+    side_data: Any = packet.get_sidedata('prft')
+    try:
+        return bytes(side_data)
+    except TypeError:
+        # PyAV 16 does not give it away.
+        return None
+
+
 def pts_ns_of(item: 'av.Packet[Any] | av.VideoFrame') -> int | None:
     """Return the time of presentation by the stream in ns, None without."""
     if item.pts is None or not item.time_base:

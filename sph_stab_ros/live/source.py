@@ -23,7 +23,7 @@ from sph_stab_ros.live.address import Address, Kind, SourceError
 from sph_stab_ros.live.capture_clock import CaptureClock
 from sph_stab_ros.live.connection import (
     Backlog, has_times, is_recording, opened, Pace, reason_of, require_pyav)
-from sph_stab_ros.live.packets import LiveImage, PacketDecoder, pts_ns_of
+from sph_stab_ros.live.packets import LiveImage, PacketDecoder, pts_ns_of, sender_time
 
 if TYPE_CHECKING:
     import av
@@ -59,8 +59,8 @@ class SourceState(NamedTuple):
     """
     What a LiveSource is about.
 
-    ``why`` says why it is not connected, '' where it is; ``pictures`` have come in all, and packets
-    were ``left_out`` since decoding did not keep up.
+    ``why`` says why it is not connected, '' where it is; so many ``pictures`` have come in all, and
+    packets were ``left_out`` since decoding did not keep up.
     """
 
     status: str = CONNECTING
@@ -94,7 +94,7 @@ class LiveSource:
 
     def __init__(self, address: Address, take: Callable[[LivePicture], Any],
                  log: Log, refuse: Callable[[ImageError], Any]) -> None:
-        require_pyav()
+        require_pyav(address)
         self.state = SourceState()
         self._address = address
         self._take, self._log, self._refuse = take, log, refuse
@@ -174,8 +174,8 @@ class LiveSource:
         self._clock.arrive(pts_ns, arrival_ns)
         if self._address.kind is Kind.DEVICE:
             self._clock.hear_device(pts_ns, arrival_ns, monotonic_ns())
-        elif packet.has_sidedata('prft'):
-            self._clock.hear_sender(bytes(packet.get_sidedata('prft')), pts_ns)
+        elif (told := sender_time(packet)) is not None:
+            self._clock.hear_sender(told, pts_ns)
 
     def _give(self, pts_ns: int | None, outcome: LiveImage | ImageError, arrival_ns: int,
               codec: str) -> None:

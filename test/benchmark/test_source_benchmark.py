@@ -14,7 +14,7 @@ import json
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
-pytest.importorskip('av')
+av = pytest.importorskip('av')
 
 from node_harness import DOMAINS  # noqa: E402, I100
 from sph_stab_ros.benchmark.source import figures, main, sent_frames  # noqa: E402
@@ -38,6 +38,8 @@ def test_a_stamp_tells_which_picture_it_is_and_when_that_was_due():
 @pytest.mark.ros
 @pytest.mark.slow
 def test_a_short_run(turning_bag, tmp_path, monkeypatch):
+    if int(av.__version__.partition('.')[0]) < 17:
+        pytest.skip('this PyAV does not give away what RTCP says')
     monkeypatch.setenv('ROS_DOMAIN_ID', str(next(DOMAINS)))
     path = tmp_path / 'figures.json'
     path.write_text('{"other": 1}')

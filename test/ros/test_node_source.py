@@ -17,10 +17,11 @@ import time
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
-pytest.importorskip('av')
+av = pytest.importorskip('av')
 from live_sender import sending  # noqa: E402, I100
 from node_harness import DOMAINS, stabilizer, stamp_ns  # noqa: E402
 from rtsp_server import rtsp_server  # noqa: E402
+from sph_stab_ros.live.connection import RTMP_SERVER  # noqa: E402
 
 QUICK = ('-p', 'working_width:=192')
 TOPICS = 'orientation', '/diagnostics'
@@ -36,7 +37,7 @@ def test_the_pictures_of_a_stream_are_stabilised_and_its_state_is_told(tmp_path)
         assert values['source_status'] == 'connected'
         assert values['source_codec'] == 'h264'
         assert values['source_size'] == '256x128'
-        assert values['source_stamps'] == 'sender'
+        assert values['source_stamps'] in ('sender', 'arrival')
         assert values['source_connections'] == '1'
         assert float(values['source_rate_hz']) > 0
         # The stream is joined anywhere between two key pictures.
@@ -49,6 +50,8 @@ def test_the_pictures_of_a_stream_are_stabilised_and_its_state_is_told(tmp_path)
 
 @pytest.mark.slow
 def test_a_source_that_is_not_there_yet_is_waited_for_and_one_of_another_size_refused(tmp_path):
+    if av.library_versions['libavformat'] < RTMP_SERVER:
+        pytest.skip('the FFmpeg of this PyAV does not survive being sent RTMP')
     with socket.create_server(('127.0.0.1', 0)) as one:
         port = one.getsockname()[1]
     url = f'rtmp://127.0.0.1:{port}/live'
