@@ -59,8 +59,8 @@ class SourceState(NamedTuple):
     """
     What a LiveSource is about.
 
-    ``why`` says why it is not connected, '' where it is; so many ``pictures`` have come in all, and
-    packets were ``left_out`` since decoding did not keep up.
+    ``why`` says why it is not connected, '' where it is; so many ``pictures`` have come in all,
+    and packets were ``left_out`` since decoding did not keep up.
     """
 
     status: str = CONNECTING
