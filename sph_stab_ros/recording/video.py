@@ -129,6 +129,10 @@ class VideoRecording:
         if not container.streams.video:
             container.close()
             raise RecordingError(f'{self.path} has no video stream')
+        # So FFmpeg tells an unknown codec, and ends the process where it is to decode that.
+        if container.streams.video[0].codec_context is None:
+            container.close()
+            raise RecordingError(f'{self.path} has pictures of a codec that FFmpeg does not know')
         return container
 
 
