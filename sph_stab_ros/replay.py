@@ -33,7 +33,7 @@ from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
-from sph_stab_ros.recording import Recording
+from sph_stab_ros.recording import Recording, STANDARD_INPUT
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.offline import offline_stabilizer
 from sph_stab_ros.stabilization.outputs import (
@@ -68,7 +68,7 @@ def video_sink(args: Namespace, recording: Recording, stack: ExitStack,
     """Return a sink that writes ``picture(stabilized)`` into a video file."""
     from sph_stab_ros.recording.video import VideoRecording
     from sph_stab_ros.recording.video_writer import VideoWriter
-    sound = recording.path if isinstance(recording, VideoRecording) else None
+    sound = recording.sound_path if isinstance(recording, VideoRecording) else None
     writer = stack.enter_context(VideoWriter(
         stack.enter_context(partial_output(args.out, args.force)), spheres, sound,
         is_all=not is_cut(args)))
@@ -214,6 +214,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     if args.side_by_side and not args.out.suffix:
         parser.error('--side-by-side needs an .mp4 or .mov as OUT')
     check_stretch(parser, args)
+    if args.offline and args.recording == STANDARD_INPUT:
+        parser.error('--offline reads twice, which a pipe cannot be')
     paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
     if len(set(paths)) < len(paths):
         parser.error('IN, OUT and --trajectory must be different files')

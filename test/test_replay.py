@@ -123,6 +123,8 @@ def test_offline_needs_the_anchored_tracker(turning_bag, capsys):
     """The others have nothing to look back at."""
     call(turning_bag, '--offline', '--estimator', 'pts', expect=2)
     assert capsys.readouterr().err == "replay: --offline needs the estimator 'anchored'\n"
+    call('-', '--offline', expect=2)
+    assert capsys.readouterr().err == 'replay: --offline reads twice, which a pipe cannot be\n'
 
 
 def test_a_bag_holds_what_the_node_publishes(turning, turning_bag, tmp_path):
