@@ -19,7 +19,7 @@ PERIOD_S = 0.5
 # How much longer than the quickest pictures others may take to come back: a lost packet alone,
 # which is repaired within a round trip, is to be no reason to slow down.
 FINE_S, LATE_S = 0.04, 0.10
-SLOWER, LEAST, FASTER = 0.85, 0.7, 1.06
+SLOWER, LEAST, FASTER = 0.85, 0.8, 1.08
 # Who has not taken what there was to take has not shown that there could be more.
 TAKEN = 0.5
 # How long the quickest are remembered; the way may have become longer.

@@ -15,6 +15,8 @@ import json
 from struct import unpack_from
 
 import aiohttp
+import cv2
+import numpy as np
 import pytest
 from sph_stab_ros.operator.access import Access
 from sph_stab_ros.operator.operated_robot import RobotError
@@ -43,6 +45,13 @@ BAD = [
 def picture(stamp_ns, size=10):
     """Return a Picture without orientation."""
     return Picture(stamp_ns, b'\xff\xd8' + bytes(size), 0.)
+
+
+def striped_jpeg(number=0, height=64):
+    """Return a JPEG file of a sphere of stripes that move with a number."""
+    rows, columns = np.mgrid[:height, :2 * height]
+    stripes = 128 + 100 * np.sin((columns + 3 * number) / 5 + rows / 9)
+    return cv2.imencode('.jpg', np.uint8(stripes))[1].tobytes()
 
 
 @dataclass(frozen=True)
