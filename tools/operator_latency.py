@@ -16,14 +16,13 @@ The page shows the raw picture, whose middle stays in the middle; it takes the s
 """
 
 from argparse import ArgumentParser
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from itertools import chain, cycle, islice
 import json
 import os
 from pathlib import Path
 import shutil
 import socket
-import subprocess
 import sys
 import tempfile
 import time
@@ -41,25 +40,17 @@ from sph_stab_ros.recording import decoded_frames, open_recording
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test/support'))
 from bad_link import BadLink, NEAR, why_not  # noqa: E402, I100
+from operator_browser import Browser, free_port, SIZE_WH, wait_until  # noqa: E402
 
 NAMESPACE = 'benchmark'
 PICTURES = 60
 WARM_UP_S = 3.
-STARTUP_S = 60.
 # Bits of the number, and the same bits inverted, to tell a number from anything else.
 BITS = 8
 BLOCK_RAD = 2 * np.pi / 160
-SIZE_WH = 1280, 720
 FOV_RAD = np.deg2rad(100)
 PERCENTILES = (50, 95, 99)
 KEY = 'operator_page'
-# WebGL in software where there is no graphics card; no connections of the browser's own.
-CHROMIUM_FLAGS = (
-    '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking',
-    '--disable-component-update', '--disable-sync',
-    '--enable-unsafe-swiftshader')
-# Over a link the page comes by https, with a certificate that no browser knows.
-LINK_FLAGS = ('--ignore-certificate-errors',)
 TOKEN = 'sesame'
 SAMPLES_PER_S = 2
 # The attribute is set by whoever has just drawn; observers are called before the canvas goes to
@@ -205,67 +196,11 @@ def measure_over(link, token_file, args, chromium):
                    dict(zip(('stabilizer', 'operator'), percent.tolist())))
 
 
-class Browser:
-    """
-    A headless Chromium with one page.
-
-    Its driver is there only within ``page``: while pictures come it would be told of each. Both
-    are at the far end of a BadLink if there is one.
-    """
-
-    def __init__(self, chromium, link):
-        self._inside = link.inside if link else nullcontext
-        self._port = free_port()
-        self._folder = tempfile.TemporaryDirectory()
-        width, height = SIZE_WH
-        with self._inside():
-            self._process = subprocess.Popen(
-                (chromium, '--headless', *CHROMIUM_FLAGS, *(LINK_FLAGS if link else ()),
-                 f'--window-size={width},{height}', f'--remote-debugging-port={self._port}',
-                 f'--user-data-dir={self._folder.name}', 'about:blank'),
-                stderr=subprocess.DEVNULL)
-
-    def __enter__(self):
-        with self._inside():
-            wait_until(lambda: socket.socket().connect_ex(('127.0.0.1', self._port)) == 0)
-        return self
-
-    def __exit__(self, *_):
-        self._process.terminate()
-        self._process.wait()
-        self._folder.cleanup()
-
-    @contextmanager
-    def page(self):
-        """Give the page to the driver."""
-        from playwright.sync_api import sync_playwright
-        with self._inside(), sync_playwright() as driver:
-            browser = driver.chromium.connect_over_cdp(f'http://127.0.0.1:{self._port}')
-            yield browser.contexts[0].pages[0]
-            browser.close()
-
-
-def free_port():
-    """Return a TCP port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
-
-
 def publish_one(publisher, msg):
     """Publish a picture."""
     msg.header.stamp = Time(nanoseconds=time.time_ns()).to_msg()
     publisher.publish(msg)
     time.sleep(0.1)
-
-
-def wait_until(condition):
-    """Wait until a condition holds; end the program where it does not."""
-    end_s = time.monotonic() + STARTUP_S
-    while not condition():
-        if time.monotonic() > end_s:
-            sys.exit('operator_latency: node, server and page did not come up')
-        time.sleep(0.05)
 
 
 def main():
@@ -302,7 +237,8 @@ def main():
     cpu = ', '.join(f'{name} {value:.0f}' for name, value in result['cpu_percent'].items())
     over = ' over {:g} Mbit/s, {:g} s, loss {:g}'.format(*args.link) if args.link else ''
     print(f"operator's page, {args.pictures}, {args.transport}, {args.width} columns at "
-          f"{args.rate:g} Hz, {args.video}{over}: {result['mbit_s']:.1f} Mbit/s, {result['drawn']}/{result['frames']} drawn, "
+          f"{args.rate:g} Hz, {args.video}{over}: {result['mbit_s']:.1f} Mbit/s, "
+          f"{result['drawn']}/{result['frames']} drawn, "
           f"{result['wrong_numbers']} with a wrong number; latency ms {latency}; CPU % {cpu}; "
           f"load before {result['machine']['load_before']:.1f}")
     if args.add_to:

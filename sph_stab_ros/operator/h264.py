@@ -131,4 +131,3 @@ def jpeg_decoder() -> VideoCodecContext:
     assert isinstance(decoder, VideoCodecContext)
     decoder.thread_count = 1
     return decoder
-

@@ -116,8 +116,9 @@ Command: TypeAlias = (
     Drawn | Skipped | NeedKey | Echo | Look | TakeControl | ResetHeading | Level | SetMode)
 
 COMMANDS: dict[str, type[Command]] = {
-    'drawn': Drawn, 'skipped': Skipped, 'need_key': NeedKey, 'echo': Echo, 'look': Look, 'take_control': TakeControl,
-    'reset_heading': ResetHeading, 'level': Level, 'set_mode': SetMode}
+    'drawn': Drawn, 'skipped': Skipped, 'need_key': NeedKey, 'echo': Echo, 'look': Look,
+    'take_control': TakeControl, 'reset_heading': ResetHeading, 'level': Level,
+    'set_mode': SetMode}
 
 
 def parse_command(text: str) -> Command:

@@ -9,8 +9,8 @@
 """
 Videos of the camera, shared by browsers that can take the same.
 
-There are two rungs, pictures of full and of half width, each with an encoder in a thread of its own
-as long as a browser is on it.
+There are two rungs, pictures of full and of half width, each with an encoder in a thread of its
+own as long as a browser is on it.
 """
 
 import asyncio

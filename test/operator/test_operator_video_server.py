@@ -70,12 +70,10 @@ async def test_who_asks_for_video_gets_one_and_others_files(site):
     assert (await video.receive('state'))['can_video']
     got, *files = await film(site, range(1, 40), video, *others)
     assert [one['chunk'] for one in got[:3]] == ['key', 'delta', 'delta']
-    assert all(len(one) > 20 for one in (got, *files))
+    assert all(files)
     assert not any(one['chunk'] for headers in files for one in headers)
-    # Nothing of it is missing, and each has its own stamp.
-    sequences = [one['sequence'] for one in got]
-    assert sequences == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert all(int(one['stamp_ns']) == one['sequence'] for one in got)
+    stamps_ns = [int(one['stamp_ns']) for one in got]
+    assert stamps_ns == sorted({one['sequence'] for one in got}) and stamps_ns[-1] == 39
 
 
 @with_video()
