@@ -28,8 +28,9 @@ RATE_HZ = 30
 # How long a picture may take on its way, be it a key picture; of few a second each has more.
 MAX_PICTURE_S = 0.08
 MAX_SHARE = 1.5
-# That is told at the beginning only: another one is due when bit rates become so much different.
-MAX_CHANGE = 2.
+# That is told at the beginning only: a new one is due when the bit rate leaves these multiples of
+# the first.
+LEAST_CHANGE, MOST_CHANGE = 0.4, 1.3
 # Full range, as JPEG has it: its planes stay as they are.
 PIXELS = 'yuvj420p'
 OPTIONS = {
@@ -68,12 +69,12 @@ class H264Encoder:
         frame = self._frame(file)
         told = bit_rate * period_s * RATE_HZ
         fits = self._encoder is not None and (
-            self._first_told / MAX_CHANGE < told < self._first_told * MAX_CHANGE) and (
+            LEAST_CHANGE <= told / self._first_told <= MOST_CHANGE) and (
             self._encoder.width, self._encoder.height) == (frame.width, frame.height)
         if wants_key or not fits:
             self._first_told = told
             self._encoder = new_encoder(
-                frame, told * MAX_CHANGE, bit_rate * max(MAX_PICTURE_S, MAX_SHARE * period_s))
+                frame, told * MOST_CHANGE, bit_rate * max(MAX_PICTURE_S, MAX_SHARE * period_s))
         assert self._encoder is not None
         self._encoder.bit_rate = round(told)
         try:

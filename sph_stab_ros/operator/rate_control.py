@@ -18,10 +18,14 @@ MIN_BIT_RATE, FIRST_BIT_RATE, MAX_BIT_RATE = 1e6, 4e6, 8e6
 PERIOD_S = 0.5
 # How much longer than the quickest pictures others may take to come back: a lost packet alone,
 # which is repaired within a round trip, is to be no reason to slow down.
-FINE_S, LATE_S = 0.04, 0.10
-SLOWER, LEAST, FASTER = 0.85, 0.8, 1.08
+FINE_S, LATE_S = 0.03, 0.08
+SLOWER, LEAST = 0.85, 0.8
+# In between it is a little too much.
+EASIER = 0.97
+# From where there was too much before, the way up is slow.
+FASTER, CAREFUL, NEAR = 1.08, 1.01, 0.8
 # Who has not taken what there was to take has not shown that there could be more.
-TAKEN = 0.5
+TAKEN = 0.7
 # How long the quickest are remembered; the way may have become longer.
 MEMORY_PERIODS = 40
 
@@ -37,6 +41,8 @@ class RateControl:
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
         self.bit_rate = FIRST_BIT_RATE
+        # What was too much the last time.
+        self._limit = MAX_BIT_RATE
         self.base_s: float | None = None
         self._quickest_s: deque[float] = deque(maxlen=MEMORY_PERIODS)
         self._begin(clock())
@@ -76,8 +82,12 @@ class RateControl:
         delivered = self._bits / passed_s
         late_s = delay_s - (self.base_s or 0.)
         if self._stalls > len(self._delays_s) or late_s > LATE_S:
+            self._limit = self.bit_rate
             self.bit_rate *= SLOWER * min(1., max(delivered / self.bit_rate, LEAST))
-        elif late_s < FINE_S and delivered > TAKEN * self.bit_rate:
-            self.bit_rate *= FASTER
+        elif late_s > FINE_S:
+            self.bit_rate *= EASIER
+        elif delivered > TAKEN * self.bit_rate:
+            self._limit *= CAREFUL
+            self.bit_rate *= FASTER if self.bit_rate < NEAR * self._limit else CAREFUL
         self.bit_rate = min(MAX_BIT_RATE, max(MIN_BIT_RATE, self.bit_rate))
         self._begin(now_s)
