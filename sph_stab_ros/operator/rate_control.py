@@ -22,8 +22,8 @@ FINE_S, LATE_S = 0.03, 0.08
 SLOWER, LEAST = 0.85, 0.8
 # In between it is a little too much.
 EASIER = 0.97
-# From where there was too much before, the way up is slow.
-FASTER, CAREFUL, NEAR = 1.08, 1.01, 0.8
+# From where there was too much before, the way up is slow for a while.
+FASTER, CAREFUL, NEAR, CALM_PERIODS = 1.08, 1.01, 0.8, 20
 # Who has not taken what there was to take has not shown that there could be more.
 TAKEN = 0.7
 # How long the quickest are remembered; the way may have become longer.
@@ -41,8 +41,9 @@ class RateControl:
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
         self._clock = clock
         self.bit_rate = FIRST_BIT_RATE
-        # What was too much the last time.
+        # What was too much the last time, and how many periods ago there was anything too much.
         self._limit = MAX_BIT_RATE
+        self._calm_periods = CALM_PERIODS
         self.base_s: float | None = None
         self._quickest_s: deque[float] = deque(maxlen=MEMORY_PERIODS)
         self._begin(clock())
@@ -81,13 +82,15 @@ class RateControl:
             delay_s = inf
         delivered = self._bits / passed_s
         late_s = delay_s - (self.base_s or 0.)
+        self._calm_periods = 0 if late_s > FINE_S else self._calm_periods + 1
         if self._stalls > len(self._delays_s) or late_s > LATE_S:
             self._limit = self.bit_rate
             self.bit_rate *= SLOWER * min(1., max(delivered / self.bit_rate, LEAST))
         elif late_s > FINE_S:
             self.bit_rate *= EASIER
         elif delivered > TAKEN * self.bit_rate:
-            self._limit *= CAREFUL
-            self.bit_rate *= FASTER if self.bit_rate < NEAR * self._limit else CAREFUL
+            is_careful = (self._calm_periods <= CALM_PERIODS
+                          and self.bit_rate > NEAR * self._limit)
+            self.bit_rate *= CAREFUL if is_careful else FASTER
         self.bit_rate = min(MAX_BIT_RATE, max(MIN_BIT_RATE, self.bit_rate))
         self._begin(now_s)

@@ -172,12 +172,12 @@ class Site:
 
 
 @asynccontextmanager
-async def site(token=None, tls=None, **options):
+async def site(token=None, tls=None, host='127.0.0.1', **options):
     """Serve on a free port."""
     robot, warnings = StrawRobot(), []
-    server = OperatorServer(robot, Access('127.0.0.1', token),
+    server = OperatorServer(robot, Access(host, token),
                             lambda kind, text: warnings.append(text), **options)
-    listener = await server.start('127.0.0.1', 0, tls)
+    listener = await server.start(host, 0, tls)
     try:
         async with aiohttp.ClientSession() as session:
             yield Site(server, robot, listener.addresses[0][1], session, warnings)

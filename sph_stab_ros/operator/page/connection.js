@@ -19,8 +19,8 @@ const PAGE = Array.from(crypto.getRandomValues(new Uint32Array(4)), n => n.toStr
 
 export class Connection {
   // handlers: picture({sequence, stamp_ns, orientation, chunk, image}), state(…), notice(…), echo(…),
-  // received(bytes), open(), closed(reason), and maxColumns(), that the image may have. takesVideo:
-  // whether pictures may come as one.
+  // received(bytes), withoutVideo() where that fails, open(), closed(reason), and maxColumns(), that
+  // the image may have. takesVideo: whether pictures may come as one.
   constructor(handlers, takesVideo) {
     this.handlers = handlers;
     this.takesVideo = takesVideo;
@@ -90,6 +90,7 @@ export class Connection {
       return;
     }
     this.takesVideo = false;
+    this.handlers.withoutVideo();
     this.socket.close();
     this.#lost('');
   }

@@ -28,8 +28,8 @@ export class LinkFigures {
     this.messages.push({at: this.now(), bytes});
   }
 
-  // A picture is drawn: its header and its image's size.
-  drawn({sequence, stamp_ns, chunk}, {width, height}) {
+  // A picture is drawn.
+  drawn({sequence, stamp_ns, chunk, width, height}) {
     const at = this.now(), dropped = this.sequence === null ? 0 : sequence - this.sequence - 1;
     this.sequence = sequence;
     this.what = `${chunk ? 'H.264' : 'JPEG'}, ${width}×${height}`;

@@ -63,9 +63,10 @@ function requestDraw() {
 function draw() {
   const picture = waiting;
   waiting = null;
-  const size = picture && {width: picture.image.width, height: picture.image.height};
   if (picture) {
-    state.columns = size.width;
+    const {image: {width, height}} = picture;
+    Object.assign(picture, {width, height});
+    state.columns = width;
     renderer.load(picture.image);
     // Without an orientation the last one has to do.
     Object.assign(state, picture.orientation);
@@ -83,7 +84,7 @@ function draw() {
     if (shown) {
       Object.assign(state, {failure: '', pictureAt: performance.now()});
       place.dataset.stampNs = picture.stamp_ns;
-      linkPanel.figures.drawn(picture, size);
+      linkPanel.figures.drawn(picture);
     }
     connection.send('drawn', {sequence: picture.sequence});
   }
@@ -142,8 +143,8 @@ function takeFallBack(reason) {
 }
 
 function showLink() {
-  $('link').textContent = linkText({...state, encrypted: location.protocol === 'https:',
-                                    secure: isSecureContext});
+  const encrypted = location.protocol === 'https:';
+  $('link').textContent = linkText({...state, encrypted, secure: isSecureContext});
 }
 
 // Looking.
@@ -170,11 +171,9 @@ function takeState(told) {
   if (told.control === 'taken' && state.control === 'yours') {
     showNotice('Another operator has taken control.', false);
   }
-  if (told.can_video !== state.can_video) {
-    state.can_video = told.can_video;
-    showLink();
-  }
+  const isNews = told.can_video !== state.can_video;
   Object.assign(state, told);
+  if (isNews) showLink();
   if (taken && state.moved) sendLook();
   showState(state);
 }
@@ -260,6 +259,7 @@ try {
     notice: takeNotice,
     echo: told => linkPanel.figures.echoed(told),
     received: bytes => linkPanel.figures.received(bytes),
+    withoutVideo: () => showLink(Object.assign(state, {takesVideo: false})),
     open: () => {
       Object.assign(state, {connectedAt: performance.now(), reason: ''});
       linkPanel.figures.reset();
