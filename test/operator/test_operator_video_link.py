@@ -76,4 +76,4 @@ def test_the_film_goes_on_after_an_outage(link, page):
         page.wait_for_picture_after(last_ns)
         page.wait_for_situation('stabilized')
         wait_until(lambda: not page.page.is_visible('#control'), page.situation)
-        assert 'H.264' in what(page)
+        wait_until(lambda: 'H.264' in what(page), page.situation)
