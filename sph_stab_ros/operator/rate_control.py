@@ -16,9 +16,10 @@ from time import monotonic
 MIN_BIT_RATE, FIRST_BIT_RATE, MAX_BIT_RATE = 1e6, 4e6, 8e6
 # A decision takes what came since the last one into account, and has to show an effect first.
 PERIOD_S = 0.5
-# How much longer than the quickest pictures others may take to come back: a lost packet alone,
-# which is repaired within a round trip, is to be no reason to slow down.
-FINE_S, LATE_S = 0.03, 0.08
+# How much longer than the quickest pictures others may take to come back. The slowest quarter does
+# not count: those a lost packet has held up. If there are more, smaller pictures of fewer packets are
+# held up less often.
+SLOW_QUANTILE, FINE_S, LATE_S = 0.75, 0.03, 0.08
 SLOWER, LEAST = 0.85, 0.8
 # In between it is a little too much.
 EASIER = 0.97
@@ -77,7 +78,7 @@ class RateControl:
         if self._delays_s:
             self._quickest_s.append(min(self._delays_s))
             self.base_s = min(self._quickest_s)
-            delay_s = sorted(self._delays_s)[len(self._delays_s) // 2]
+            delay_s = sorted(self._delays_s)[int(SLOW_QUANTILE * len(self._delays_s))]
         else:
             delay_s = inf
         delivered = self._bits / passed_s

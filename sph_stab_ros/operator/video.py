@@ -26,9 +26,9 @@ from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.rate_control import MIN_BIT_RATE
 
 # With less, half of the width looks better than all of it.
-MIN_FULL_BIT_RATE = 2.5e6
+MIN_FULL_BIT_RATE = 1.5e6
 # Who went down comes up again for more than that.
-UP_BIT_RATE = 3.5e6
+UP_BIT_RATE = 2.2e6
 FIRST_PERIOD_S, MAX_PERIOD_S, SMOOTHING = 1 / 30, 1., 0.1
 
 
