@@ -225,7 +225,8 @@ def main():
                         help='over a bad link: Mbit/s, seconds of round trip, share of packets '
                              'that get lost (6 0.04 0.01); takes root')
     parser.add_argument('--add-to', metavar='FILE', type=Path,
-                        help=f"add all figures to those in a JSON file, as '{KEY}'")
+                        help=f"add all figures to those in a JSON file, as '{KEY}', or "
+                             f"'{KEY}_link' with --link")
     args = parser.parse_args()
     chromium = shutil.which(os.environ.get('CHROMIUM') or 'chromium')
     if not chromium:
@@ -243,7 +244,7 @@ def main():
           f"load before {result['machine']['load_before']:.1f}")
     if args.add_to:
         others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
-        args.add_to.write_text(json.dumps({**others, KEY: result}, indent=2) + '\n')
+        args.add_to.write_text(json.dumps({**others, KEY + '_link' * bool(args.link): result}, indent=2) + '\n')
 
 
 if __name__ == '__main__':
