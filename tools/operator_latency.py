@@ -39,7 +39,7 @@ from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.recording import decoded_frames, open_recording
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test/support'))
-from bad_link import BadLink, NEAR, why_not  # noqa: E402, I100
+from bad_link import BadLink, why_not  # noqa: E402, I100
 from operator_browser import Browser, free_port, SIZE_WH, wait_until  # noqa: E402
 
 NAMESPACE = 'benchmark'
@@ -159,7 +159,7 @@ def measure_over(link, token_file, args, chromium):
     """Return the figures over a BadLink, or without one."""
     msgs = messages(args)
     ros = ('--ros-args', '-r', f'__ns:=/{NAMESPACE}')
-    host, port = NEAR if link else '127.0.0.1', free_port()
+    host, port = link.near if link else '127.0.0.1', free_port()
     rclpy.init()
     node = rclpy.create_node('camera', namespace=NAMESPACE)
     publisher = node.create_publisher(
@@ -244,7 +244,8 @@ def main():
           f"load before {result['machine']['load_before']:.1f}")
     if args.add_to:
         others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
-        args.add_to.write_text(json.dumps({**others, KEY + '_link' * bool(args.link): result}, indent=2) + '\n')
+        key = f'{KEY}_link' if args.link else KEY
+        args.add_to.write_text(json.dumps({**others, key: result}, indent=2) + '\n')
 
 
 if __name__ == '__main__':

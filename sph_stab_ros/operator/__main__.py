@@ -191,13 +191,16 @@ async def serve(args: Namespace) -> None:
 def video(warn: Callable[[str, str], object]) -> 'Video | None':
     """Return what encodes, or None where it cannot be, with a line in the log."""
     try:
+        from sph_stab_ros.operator.h264 import can_encode
         from sph_stab_ros.operator.video import Video
+        if can_encode():
+            return Video(warn)
     except ImportError as error:
         if error.name != 'av':
             raise
-        LOG.info("pictures go out as JPEG: video needs PyAV: pip install 'sph_stab_ros[video]'")
-        return None
-    return Video(warn)
+    LOG.info('pictures go out as JPEG: video needs PyAV with libx264: '
+             "pip install 'sph_stab_ros[video]'")
+    return None
 
 
 async def start(server: 'OperatorServer', host: str, port: int | None,

@@ -10,6 +10,7 @@
 
 from fractions import Fraction
 
+from av.codec.codec import codecs_available
 from av.codec.context import CodecContext
 from av.error import FFmpegError
 from av.packet import Packet
@@ -20,10 +21,9 @@ import numpy as np
 from sph_stab_ros.images.codec import decoded, ImageError, JPEG, whole_file
 
 CODEC = 'libx264'
-# Of all that this machine can give, not more: more columns take too long, and no view of a usual
-# window shows more.
+# More take too long, and a view of 100° of them has as many pixels as many a window.
 MAX_COLUMNS = 2048
-# What an encoder is told of times, which then knows of no others.
+# The encoder is told so, and its bit rate such that it is right for the pictures that come.
 RATE_HZ = 30
 # How long a picture may take on its way, be it a key picture; of few a second each has more.
 MAX_PICTURE_S = 0.08
@@ -62,7 +62,7 @@ class H264Encoder:
         """
         Return a picture's packet (Annex B), and whether it is a key picture.
 
-        That it is where one is wanted, or at the begin of a stream of another size. ``period_s``
+        That it is where one is wanted, and where sizes or bit rates become others. ``period_s``
         is how long after one picture the next usually comes. ImageError where the file is no
         picture.
         """
@@ -71,13 +71,13 @@ class H264Encoder:
         fits = self._encoder is not None and (
             LEAST_CHANGE <= told / self._first_told <= MOST_CHANGE) and (
             self._encoder.width, self._encoder.height) == (frame.width, frame.height)
-        if wants_key or not fits:
-            self._first_told = told
-            self._encoder = new_encoder(
-                frame, told * MOST_CHANGE, bit_rate * max(MAX_PICTURE_S, MAX_SHARE * period_s))
-        assert self._encoder is not None
-        self._encoder.bit_rate = round(told)
         try:
+            if self._encoder is None or wants_key or not fits:
+                self._first_told = told
+                self._encoder = new_encoder(
+                    frame, told * MOST_CHANGE,
+                    bit_rate * max(MAX_PICTURE_S, MAX_SHARE * period_s))
+            self._encoder.bit_rate = round(told)
             packet, = self._encoder.encode(frame)
         except (FFmpegError, ValueError) as error:
             self._encoder = None
@@ -104,6 +104,11 @@ class H264Encoder:
         frame.pts = None
         frame.pict_type = PictureType.NONE
         return frame
+
+
+def can_encode() -> bool:
+    """Tell whether this PyAV has the encoder."""
+    return CODEC in codecs_available
 
 
 def size(width: int, height: int, divisor: int) -> tuple[int, int]:

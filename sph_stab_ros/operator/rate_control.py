@@ -16,9 +16,9 @@ from time import monotonic
 MIN_BIT_RATE, FIRST_BIT_RATE, MAX_BIT_RATE = 1e6, 4e6, 8e6
 # A decision takes what came since the last one into account, and has to show an effect first.
 PERIOD_S = 0.5
-# How much longer than the quickest pictures others may take to come back. The slowest quarter does
-# not count: those a lost packet has held up. If there are more, smaller pictures of fewer packets are
-# held up less often.
+# How much longer than the quickest pictures others may take to come back. The slowest quarter
+# does not count: those a lost packet has held up. If there are more, smaller pictures, of fewer
+# packets, are held up less often.
 SLOW_QUANTILE, FINE_S, LATE_S = 0.75, 0.03, 0.08
 SLOWER, LEAST = 0.85, 0.8
 # In between it is a little too much.

@@ -12,7 +12,7 @@ import socket
 from threading import Thread
 import time
 
-from bad_link import BadLink, FAR, NEAR, why_not
+from bad_link import BadLink, why_not
 import pytest
 
 pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not())
@@ -24,7 +24,7 @@ def sockets(link, kind):
     near = socket.socket(type=kind)
     with link.inside():
         far = socket.socket(type=kind)
-    for end, address in ((near, NEAR), (far, FAR)):
+    for end, address in ((near, link.near), (far, link.far)):
         end.settimeout(TIMEOUT_S)
         end.bind((address, 0))
     return near, far

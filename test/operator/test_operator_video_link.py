@@ -16,7 +16,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 pytest.importorskip('av', reason='PyAV is not installed')
 pytest.importorskip('cryptography', reason='cryptography is not installed')
-from bad_link import BadLink, NEAR, why_not  # noqa: E402, I100
+from bad_link import BadLink, why_not  # noqa: E402, I100
 from operator_harness import chromium, Page, wait_until  # noqa: E402
 from operator_served import Served  # noqa: E402
 from operator_site import striped_jpeg  # noqa: E402
@@ -49,9 +49,9 @@ def page(link, browser, tmp_path):
     """Return the page as it shows a film by https, with its server as ``served``."""
     identity = own_identity(tmp_path, {'localhost'}, set())
     video = Video(lambda kind, text: None)
-    with Served(token=TOKEN, tls=context(identity.file), host=NEAR, video=video) as served:
+    with Served(token=TOKEN, tls=context(identity.file), host=link.near, video=video) as served:
         served.file = striped_jpeg(height=480)
-        page = Page(browser, f'https://{NEAR}:{served.port}/?token={TOKEN}',
+        page = Page(browser, f'https://{link.near}:{served.port}/?token={TOKEN}',
                     ignore_https_errors=True)
         page.wait_for_situation('stabilized')
         yield page

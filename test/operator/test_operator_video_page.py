@@ -175,7 +175,8 @@ def test_a_browser_that_cannot_after_all_gets_files(opened):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('recording', ['bags/drone', '../shared/data/car_overpass/car_overpass.mp4'])
+@pytest.mark.parametrize('recording', [
+    'bags/drone', '../shared/data/car_overpass/car_overpass.mp4'])
 def test_what_is_drawn_is_like_the_raw_picture(opened, recording, monkeypatch):
     """In the middle of a film, and at half of the bits that there may be."""
     for bound in ('MIN_BIT_RATE', 'MAX_BIT_RATE'):

@@ -10,9 +10,9 @@
 A bad radio link: a network namespace that is reached through a process which delays and loses.
 
 What is started ``inside`` it is at the far end, everything else at the near one; they see each
-other by the addresses NEAR and FAR. Each IP packet, in either direction, waits for its turn at the
-rate of the link, takes half the round trip, and may get lost: with a probability, where too many
-wait, or while the link is ``silent``. That takes root, iproute2 and /dev/net/tun.
+other by the addresses ``near`` and ``far``. Each IP packet, in either direction, waits for its turn
+at the rate of the link, takes half the round trip, and may get lost: with a probability, where too
+many wait, or while the link is silent. That takes root, iproute2 and /dev/net/tun.
 """
 
 from collections import deque
@@ -29,7 +29,6 @@ import subprocess
 import sys
 import time
 
-NEAR, FAR = '10.254.8.1', '10.254.8.2'
 OWN_NAMESPACE = '/proc/thread-self/ns/net'
 CLONE_NEWNET = 0x40000000
 TUN = '/dev/net/tun'
@@ -60,7 +59,11 @@ class BadLink:
 
     def __init__(self, rate_mbit_s=6., round_trip_s=0.04, loss=0.01, queue_s=0.25):
         self._values = rate_mbit_s, round_trip_s, loss, queue_s
-        self._name = f'bad_link_{os.getpid()}'
+        process = os.getpid()
+        self._name = f'bad_link_{process}'
+        # Of its own, as tests may run side by side.
+        self.near, self.far = (f'10.254.{process >> 6 & 255}.{4 * (process & 63) + end}'
+                               for end in (1, 2))
         self._carrier = None
 
     def __enter__(self):
@@ -69,8 +72,8 @@ class BadLink:
         try:
             with self.inside():
                 ip('link', 'set', 'lo', 'up')
-                far = tunnel('far', FAR)
-            near = tunnel(f'near{os.getpid()}', NEAR)
+                far = tunnel('far', self.far, self.near)
+            near = tunnel(f'near{os.getpid()}', self.near, self.far)
             ends = near, far
             self._carrier = subprocess.Popen(
                 [sys.executable, __file__, *map(str, (*ends, *self._values))], pass_fds=ends,
@@ -117,11 +120,11 @@ def set_namespace(file):
         raise OSError(ctypes.get_errno(), 'setns')
 
 
-def tunnel(name, address):
-    """Return the descriptor of a device that has one of the two addresses."""
+def tunnel(name, address, other):
+    """Return the descriptor of a device that has an address and leads to another."""
     descriptor = os.open(TUN, os.O_RDWR)
     ioctl(descriptor, TUNSETIFF, pack('16sH22x', name.encode(), IFF_TUN | IFF_NO_PI))
-    ip('addr', 'add', address, 'peer', FAR if address == NEAR else NEAR, 'dev', name)
+    ip('addr', 'add', address, 'peer', other, 'dev', name)
     ip('link', 'set', name, 'up')
     return descriptor
 
