@@ -31,16 +31,18 @@ setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test t
 demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot in results/demo
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
+# Two processes of tests; those of ROS and the browser all in one of them.
+PYTEST := -m pytest -n 2 --dist loadgroup
 FAST := not slow and not thorough and not ros and not browser
 
 test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in two minutes
-	$(PY) -m pytest -m '$(FAST)'
+	$(PY) $(PYTEST) -m '$(FAST)'
 
 test: setup  ## Run all tests but the slow ones, in eight minutes
-	$(PY) -m pytest -m 'not slow'
+	$(PY) $(PYTEST) -m 'not slow'
 
 test-slow: setup  ## Run the slow tests
-	$(PY) -m pytest -m slow
+	$(PY) $(PYTEST) -m slow
 
 FUZZ_SECONDS ?= 600
 FUZZ_JOBS ?= $(shell nproc)
@@ -52,7 +54,7 @@ fuzz: setup  ## Damage inputs in new ways for FUZZ_SECONDS; what fails stays in 
 coverage: export COVERAGE_FILE = $(CURDIR)/results/coverage/data
 coverage: setup  ## Run test-fast, and tell in results/coverage which lines it runs
 	mkdir -p results/coverage
-	$(PY) -m pytest -m '$(FAST)' --cov --cov-report=term \
+	$(PY) $(PYTEST) -m '$(FAST)' --cov --cov-report=term \
 	    --cov-report=html:results/coverage/html
 
 ledger: setup  ## Write test/ledger.json, the accuracy measured; ONLY='drone anchored' for a part
@@ -97,7 +99,7 @@ evaluation-hard: setup  ## The same on what make hard has written
 
 test-oldest: AMENT_PREFIX_PATH = $(CURDIR)/.venv-oldest
 test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported NumPy, OpenCV, ...
-	.venv-oldest/bin/python -m pytest
+	.venv-oldest/bin/python $(PYTEST)
 
 benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; half an hour
 	mkdir -p results/benchmark

@@ -72,6 +72,8 @@ setup(
             # Drives the browser that is there; none of its own.
             'playwright>=1.60,<2',
             'pytest-cov>=7.1,<8',
+            # Runs what only computes beside what waits for processes: half the time on two cores.
+            'pytest-xdist>=3.6.1,<4',
             # Jazzy's linters with the flake8 and plugins of its platform, for the same rules.
             'ros-ament-flake8==0.17.*',
             'ros-ament-pep257==0.17.*',

@@ -46,12 +46,17 @@ FOLDER_MARKERS = {
 }
 
 
+# Before pytest-xdist looks for groups.
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Mark what starts processes of ROS or a browser, and what is about the whole repository."""
     for item in items:
         for path, marker in FOLDER_MARKERS.items():
             if item.path.is_relative_to(TEST / path):
                 item.add_marker(marker)
+        # These wait for each other's processes: one at a time, beside others that compute.
+        if item.get_closest_marker('ros') or item.get_closest_marker('browser'):
+            item.add_marker(pytest.mark.xdist_group('processes'))
 
 
 @pytest.fixture(scope='session')

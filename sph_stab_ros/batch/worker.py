@@ -27,6 +27,7 @@ import cv2
 from sph_stab_ros.batch.results import (
     BAG, EVALUATION, MANIFEST, publish, TRAJECTORY, VIDEO, write_json)
 from sph_stab_ros.batch.tasks import Task
+from sph_stab_ros.command_line import is_out_of_memory
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.evaluation.alignment import align_trajectories, EvaluationError
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
@@ -158,7 +159,7 @@ def main() -> int:
     except Exception as error:
         # Whatever one recording does to a library must not end the others.
         said = {'line': f'{type(error).__name__}: {" ".join(str(error).split())}', 'failed': True}
-        if isinstance(error, MemoryError) or 'Insufficient memory' in said['line']:
+        if is_out_of_memory(error):
             said['line'] = f'it needs more memory than {task.memory_mb} MB (--memory-mb)'
     say(channel, **said)
     return 0

@@ -21,6 +21,9 @@ from typing import NoReturn
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 
+# StsNoMem, the code of cv2.error.
+OPENCV_NO_MEMORY = -4
+
 
 class Parser(argparse.ArgumentParser):
     """An argument parser that says what is wrong in one line, without the usage before it."""
@@ -103,6 +106,11 @@ class OneLine(logging.Formatter):
         return one_line(super().format(record))
 
 
+def is_out_of_memory(error: Exception) -> bool:
+    """Tell whether an error is that memory has run out, in Python, NumPy or OpenCV."""
+    return isinstance(error, MemoryError) or getattr(error, 'code', 0) == OPENCV_NO_MEMORY
+
+
 def run(name: str, command: Callable[[], object]) -> int:
     """
     Return the exit status of ``command()``: 0, or 1 after a line on stderr.
@@ -127,5 +135,10 @@ def run(name: str, command: Callable[[], object]) -> int:
     except BrokenPipeError:
         # Whoever read the output has seen enough; Python must not flush the rest either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        if not is_out_of_memory(error):
+            raise
+        print(f'{name}: there is not enough memory', file=sys.stderr)
         return 1
     return 0

@@ -28,7 +28,7 @@ from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.image_error import ImageError as ImageError
 from sph_stab_ros.images.picture_size import (
-    JPEG as JPEG, PNG as PNG, refuse_too_much, START_OF_SCAN)
+    JPEG as JPEG, PNG as PNG, refuse_too_much, require_memory, START_OF_SCAN)
 from sph_stab_ros.images.raw import image_from_raw
 
 JPEG_QUALITY = 90
@@ -153,13 +153,20 @@ def reduced(data: bytes, flag: int) -> Image | None:
 
 
 def decoded(data: bytes, kind: str, flags: int = cv2.IMREAD_ANYCOLOR) -> Image:
-    """Return the picture in a file (bytes) by flags of cv2.imdecode; ImageError names its kind."""
+    """
+    Return the picture in a file (bytes) by flags of cv2.imdecode.
+
+    ImageError, which names the kind of file, where it is damaged; MemoryError where that is
+    not known for want of memory.
+    """
     try:
         image = cv2.imdecode(
             np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error:
         image = None
     if image is None:
+        # Decoders do not tell damage from want of memory.
+        require_memory(data, kind)
         raise ImageError(f'corrupt {kind}', f'{len(data)} bytes cannot be decoded')
     return image
 

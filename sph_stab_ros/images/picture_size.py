@@ -16,6 +16,8 @@ JPEG, PNG = 'JPEG', 'PNG'
 START_OF_SCAN = b'\xff\xda'
 # A sphere of 16384 columns; in BGR it takes 400 MB.
 MOST_PIXELS = 2**27
+# The picture in three channels, and the coefficients of a progressive JPEG file.
+DECODING_BYTES_PER_PIXEL = 9
 # Of a progressive file, each of which goes over the whole picture. Ten are usual.
 MOST_SCANS = 200
 # Start of frame, of all kinds of coding; tables that share their range are none.
@@ -24,12 +26,23 @@ FRAME_HEADERS = {*range(0xc0, 0xd0)} - {0xc4, 0xc8, 0xcc}
 
 def refuse_too_much(data: bytes, kind: str) -> None:
     """Raise ImageError where the picture in a file, JPEG or PNG, is beyond what cameras take."""
-    width, height = jpeg_size(data) if kind == JPEG else png_size(data)
+    width, height = size_of(data, kind)
     if width * height > MOST_PIXELS:
         raise ImageError('too large', f'the {kind} is said to be {width}x{height}')
     # The mark is nowhere else but in thumbnails.
     if kind == JPEG and data.count(START_OF_SCAN) > MOST_SCANS:
         raise ImageError(f'corrupt {JPEG}', f'more than {MOST_SCANS} scans')
+
+
+def require_memory(data: bytes, kind: str) -> None:
+    """Raise MemoryError where there is too little to decode the picture in a file."""
+    width, height = size_of(data, kind)
+    bytearray(width * height * DECODING_BYTES_PER_PIXEL)
+
+
+def size_of(data: bytes, kind: str) -> tuple[int, int]:
+    """Return width and height of the picture in a file, JPEG or PNG, by its header."""
+    return jpeg_size(data) if kind == JPEG else png_size(data)
 
 
 def jpeg_size(data: bytes) -> tuple[int, int]:

@@ -173,7 +173,9 @@ def test_a_killed_process_loses_nothing_and_does_nothing_twice(long_bags, tmp_pa
     assert {path.name for path in out.iterdir()} == {*names, FAILURES, LOCK}
 
 
-@pytest.mark.parametrize('ending', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize('ending', [
+    signal.SIGKILL, *(pytest.param(softer, marks=pytest.mark.slow)
+                      for softer in (signal.SIGINT, signal.SIGTERM))])
 def test_after_any_end_the_same_call_goes_on(long_bags, tmp_path, ending):
     """Asked to end, it says one line and leaves nothing half-written; killed, it cannot."""
     out = tmp_path / 'out'

@@ -150,7 +150,8 @@ def test_qos_is_that_of_sensor_data_unless_parameters_say_otherwise(tmp_path):
     with stabilizer(
             tmp_path, '-p', f'qos_overrides.{overridden}.publisher.reliability:=best_effort',
             '-p', 'qos_overrides./view/cmd_vel.subscription.reliability:=best_effort',
-            '-p', 'qos_overrides./orientation.publisher.depth:=3', compressed=True) as peer:
+            '-p', 'qos_overrides./orientation.publisher.depth:=3', compressed=True,
+            reliable=False) as peer:
         assert peer.qos('/image/compressed').reliability is ReliabilityPolicy.BEST_EFFORT
         for topic in (*outputs, '/view/direction'):
             assert peer.qos(topic).reliability is ReliabilityPolicy.RELIABLE, topic

@@ -52,8 +52,9 @@ TIMEOUT_S = 30.
 SETTLING_S = 0.5
 GOODBYES_S = 1.
 COMPRESSED = ('-p', 'image_transport:=compressed')
-# Best effort may lose raw images that exceed the 0.5 MB of Fast DDS's shared memory by default.
-RELIABLE = ('-p', 'qos_overrides./image.subscription.reliability:=reliable')
+# Best effort may lose any image, and raw ones that exceed the 0.5 MB of Fast DDS's shared memory
+# by default often: whoever waits for the answer to one image would wait in vain.
+RELIABLE = 'qos_overrides./{}.subscription.reliability:=reliable'
 
 
 def free_domains():
@@ -292,16 +293,24 @@ def leave(node, executor):
 
 @contextmanager
 def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, namespace='',
-               views=('view',), domain=None, camera=True):
-    """Run the node with ROS arguments; give a Peer, with a camera, and leave neither behind."""
+               views=('view',), domain=None, camera=True, reliable=True):
+    """
+    Run the node with ROS arguments; give a Peer, with a camera, and leave neither behind.
+
+    Unless ``reliable`` is False, no image is lost on the way.
+    """
     domain = domain or next(DOMAINS)
+    if compressed:
+        arguments = (*COMPRESSED, *arguments)
+    if reliable:
+        arguments = ('-p', RELIABLE.format('image/compressed' if compressed else 'image'),
+                     *arguments)
     log = tmp_path / f'node{namespace}.log'
     if namespace:
         arguments += ('-r', f'__ns:=/{namespace}')
     with open(log, 'w') as log_file:
         process = subprocess.Popen(
-            [sys.executable, '-m', 'sph_stab_ros.stabilizer', '--ros-args',
-             *(COMPRESSED if compressed else RELIABLE), *arguments],
+            [sys.executable, '-m', 'sph_stab_ros.stabilizer', '--ros-args', *arguments],
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, stdout=log_file, stderr=log_file)
     peer = None
     try:

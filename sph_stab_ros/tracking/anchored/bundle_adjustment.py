@@ -28,8 +28,8 @@ from sph_stab_ros.geometry.arrays import (
 from sph_stab_ros.tracking.anchored.pose_estimation import (
     cauchy_weights, MEDIAN_2D, NormalEquations, PoseOptions)
 
-# Of the fixed length that sets the unit, per unit.
-GAUGE_INFORMATION = 1e8
+# How much more certain the length that sets the unit is than what is seen makes it.
+GAUGE_STIFFNESS = 1e6
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,11 @@ def adjust(window: Window, options: BundleOptions, keep_distance: bool = False) 
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations: keyframes' H and g, points' H_rr and g_r, and H_rp between them."""
+    """
+    Normal equations: keyframes' H and g, points' H_rr and g_r, and H_rp between them.
+
+    The free keyframes do not move along the unit vector ``kept_along`` (6F,), if given.
+    """
 
     H: Floats
     g: Floats
@@ -149,11 +153,16 @@ class Equations:
     g_r: Values
     weights: Values
     scale: float
+    kept_along: Floats | None
 
     def reduced(self, damping: float) -> Floats:
         """Return the matrix of the keyframes alone (Schur complement), damped."""
         S = self.H - (self.H_rp / (self.H_rr * (1 + damping))[:, None]).T @ self.H_rp
         S[np.diag_indices_from(S)] += damping * np.diag(self.H) + 1e-9
+        if self.kept_along is not None:
+            # Behind the damping, which would slow down what moves across.
+            stiffness = GAUGE_STIFFNESS * self.kept_along ** 2 @ np.diag(S)
+            S += stiffness * np.outer(self.kept_along, self.kept_along)
         return S
 
 
@@ -184,17 +193,15 @@ def normal_equations(window: Window, R: Matrix, p: Vectors, rho: Values, sizes: 
     """
     Return the Equations of residuals of such sizes (M,), weighted by them.
 
-    ``W db = M dz`` with ``dz = ω_h × x − ω_k × z − ρ (dp_k − dp_h) − q dρ``, all in the world. The
-    free keyframes do not move along the unit vector ``kept_along`` (6F,), if given.
+    ``W db = M dz`` with ``dz = ω_h × x − ω_k × z − ρ (dp_k − dp_h) − q dρ``, all in the world.
     """
     scale = float(np.clip(
         np.median(sizes) / MEDIAN_2D, options.min_scale, options.max_scale))
     weights = cauchy_weights(sizes, options.cauchy_width * scale)
     H, g, H_rp, H_rr, g_r = pose_and_point_equations(window, R, p, rho, weights / scale ** 2)
-    if kept_along is not None:
-        H += GAUGE_INFORMATION * np.outer(kept_along, kept_along)
     return Equations(H, g, H_rp, window.information + H_rr,
-                     g_r + window.information * (rho - window.inverse_depths), weights, scale)
+                     g_r + window.information * (rho - window.inverse_depths), weights, scale,
+                     kept_along)
 
 
 def pose_and_point_equations(window: Window, R: Matrix, p: Vectors, rho: Values,
