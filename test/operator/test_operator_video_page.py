@@ -147,6 +147,31 @@ def test_the_page_says_what_pictures_come_as(opened):
         wait_until(lambda: figure(page, 'what') == 'JPEG, 512×256', page.situation)
 
 
+def test_ages_are_by_the_server_s_clock_and_gaps_are_pictures_left_out(opened):
+    with Filmed(spheres()) as served:
+        figures = opened(served.url).page.evaluate("""async () => {
+            const {LinkFigures} = await import('/link_figures.js');
+            // The server's clock is ahead by 5 s; one way of the second round trip was slow.
+            let now = 1e12;
+            const figures = new LinkFigures(() => now);
+            for (const [there, back] of [[20, 20], [20, 400]]) {
+                const sent_ms = now, server_ms = now + there + 5000;
+                now += there + back;
+                figures.echoed({sent_ms, server_ms});
+            }
+            for (const sequence of [7, 8, 13]) {
+                now += 33;
+                const stamp_ns = String(BigInt(now + 5000 - 120) * 1000000n);
+                figures.drawn({sequence, stamp_ns, chunk: 'key', width: 64, height: 32});
+            }
+            figures.received(1e6);
+            return figures.figures();
+        }""")
+    assert figures == {
+        'what': 'H.264, 64×32', 'mbit_s': 4, 'drawn': 1.5, 'dropped': 2, 'latency_ms': 120,
+        'round_trip_ms': 420}
+
+
 def test_a_broken_decoder_goes_on_with_a_key_picture(opened):
     with Filmed(spheres()) as served:
         page = opened(served.url)

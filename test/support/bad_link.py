@@ -10,9 +10,9 @@
 A bad radio link: a network namespace that is reached through a process which delays and loses.
 
 What is started ``inside`` it is at the far end, everything else at the near one; they see each
-other by the addresses ``near`` and ``far``. Each IP packet, in either direction, waits for its turn
-at the rate of the link, takes half the round trip, and may get lost: with a probability, where too
-many wait, or while the link is silent. That takes root, iproute2 and /dev/net/tun.
+other by their addresses, ``near`` and ``far``. Each IP packet, in either direction, waits for its
+turn at the rate of the link, takes half the round trip, and may get lost: with a probability,
+where too many wait, or while the link is silent. That takes root, iproute2 and /dev/net/tun.
 """
 
 from collections import deque

@@ -240,13 +240,13 @@ const keyActions = {
 
 // Start.
 
+// The address chooses by ?video=jpeg.
+state.takesVideo = new URLSearchParams(location.search).get('video') !== 'jpeg'
+  && await canDecodeVideo();
 const tape = new HeadingTape($('tape'));
 const dial = new AttitudeDial($('attitude'));
 const look = new Look(place, looked, id => actions[id]());
 const linkPanel = new LinkPanel($('link-panel'), sent_ms => connection?.send('echo', {sent_ms}));
-// The address chooses by ?video=jpeg.
-state.takesVideo = new URLSearchParams(location.search).get('video') !== 'jpeg'
-  && await canDecodeVideo();
 let connection;
 try {
   renderer = new Renderer(place, takeFallBack);
