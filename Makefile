@@ -109,6 +109,7 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware
 	mkdir -p results/benchmark-ros
 	$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml \
 	    --json results/benchmark-ros/benchmark_ros.json
+	$(PY) -m sph_stab_ros.benchmark.source --add-to results/benchmark-ros/benchmark_ros.json
 	@if command -v chromium > /dev/null; then \
 	  $(PY) tools/operator_latency.py --add-to results/benchmark-ros/benchmark_ros.json && \
 	  if [ "$$(id -u)" = 0 ]; then \

@@ -102,6 +102,7 @@ setup(
             'batch = sph_stab_ros.batch.__main__:main',
             'benchmark = sph_stab_ros.benchmark.__main__:main',
             'calibrate = sph_stab_ros.calibrate:main',
+            'camera = sph_stab_ros.camera:main',
             'demo = sph_stab_ros.demo:main',
             'evaluate = sph_stab_ros.evaluate:main',
             'operator = sph_stab_ros.operator.__main__:main',

@@ -32,6 +32,10 @@ ARGUMENTS = (
         choices=['', 'raw', 'compressed', 'ffmpeg', 'foxglove'],
         description='How the images come; empty: as params_file says'),
     DeclareLaunchArgument(
+        'source', default_value='',
+        description='Camera or stream to read in place of the image topic; empty: as params_file '
+                    'says'),
+    DeclareLaunchArgument(
         'imu', default_value='imu',
         description='Topic of the IMU, listened to where the parameter level is imu'),
     DeclareLaunchArgument(
@@ -52,7 +56,7 @@ def stabilizer(context):
     # launch would only warn and take the defaults.
     if not Path(argument('params_file')).is_file():
         raise RuntimeError(f"params_file: there is no file {argument('params_file')}")
-    given = {name: argument(name) for name in ('image_transport', 'projection')
+    given = {name: argument(name) for name in ('image_transport', 'source', 'projection')
              if argument(name)}
     if argument('use_sim_time'):
         given['use_sim_time'] = argument('use_sim_time') == 'true'

@@ -65,7 +65,7 @@ def video_sink(args: Namespace, recording: Recording, stack: ExitStack,
     """Return a sink that writes ``picture(stabilized)`` into a video file."""
     from sph_stab_ros.recording.video import VideoRecording
     from sph_stab_ros.recording.video_writer import VideoWriter
-    sound = recording.path if isinstance(recording, VideoRecording) else None
+    sound = recording.sound_path if isinstance(recording, VideoRecording) else None
     writer = stack.enter_context(VideoWriter(
         stack.enter_context(partial_output(args.out, args.force)), spheres, sound,
         is_all=not is_cut(args)))

@@ -52,8 +52,8 @@ PYTHON_DEPENDENCIES = {
 OPTIONAL_MODULES = {'av', 'distributed', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
 # The only modules, and with `ros` all modules below it, that may need ROS to be imported.
 ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in (
-    'benchmark.node', 'benchmark.soak', 'demo', 'operator.__main__', 'operator.robot', 'player',
-    'ros', 'stabilizer'))
+    'benchmark.node', 'benchmark.soak', 'benchmark.source', 'camera', 'demo',
+    'operator.__main__', 'operator.robot', 'player', 'ros', 'stabilizer'))
 
 
 @pytest.fixture

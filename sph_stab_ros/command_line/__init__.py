@@ -36,7 +36,8 @@ class Parser(argparse.ArgumentParser):
 def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
     """Add arguments for a recording to read, called ``name``, and for what of it."""
     parser.add_argument('recording', metavar=name, type=Path,
-                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file')
+                        help='rosbag2 folder, .mcap, .db3, ROS 1 .bag, or a video file; - is a '
+                        'video through standard input')
     add_selection(parser)
 
 

@@ -154,6 +154,15 @@ class NodeConfig(StabilizerConfig):
     image_transport: str = option(
         'raw', 'Subscribe to image (raw), or to image/compressed, image/ffmpeg or image/foxglove',
         choices=IMAGE_TRANSPORTS, live=False)
+    source: str = option(
+        '', 'Read the images of a camera or stream in place of a topic: /dev/video0, rtsp://..., '
+        "rtmp://, http://, udp:// and what else FFmpeg reads, a file, or '-' for standard input",
+        live=False)
+    source_options: str = option(
+        '', "Options of FFmpeg for the source, NAME=VALUE,NAME=VALUE; for example a device's "
+        'video_size=1920x960,framerate=30,input_format=mjpeg', live=False)
+    source_frame: str = option(
+        'camera', 'frame_id of the images of the source', live=False)
     stabilized_frame: str = option(
         'stabilized_optical', 'frame_id of the world in which the camera turns: optical axes, '
         "the camera's own at the first image or at the last reset", live=False)

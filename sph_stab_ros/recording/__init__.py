@@ -15,6 +15,8 @@ from sph_stab_ros.recording.base import decoded_frames, Recording, RecordingErro
 
 __all__ = ['decoded_frames', 'open_recording', 'Recording', 'RecordingError']
 
+STANDARD_INPUT = Path('-')
+
 
 def open_recording(path: str | Path, image_topic: str | None = None, start_s: float = 0.,
                    end_s: float = math.inf) -> Recording:
@@ -25,7 +27,7 @@ def open_recording(path: str | Path, image_topic: str | None = None, start_s: fl
     ----------
     path
         A rosbag2 folder, an MCAP or SQLite file, a ROS 1 bag, or else a video file; what it is
-        is told by its content, not by its name.
+        is told by its content, not by its name. ``-`` is a video through standard input, once.
     image_topic
         Where to find the images in a bag that has several image topics.
     start_s, end_s
@@ -35,6 +37,9 @@ def open_recording(path: str | Path, image_topic: str | None = None, start_s: fl
     """
     stretch = Stretch(start_s, end_s)
     path = Path(path)
+    if path == STANDARD_INPUT and image_topic is None:
+        from sph_stab_ros.recording.video import PipedVideo
+        return PipedVideo(stretch)
     if not path.exists():
         raise RecordingError(f'{path} does not exist')
     # Either library is imported only for its own kind of file.

@@ -55,8 +55,10 @@ class Sound:
         self._streams: dict[int, Any] = {}
         for stream in container.streams.audio:
             if not can_hold(target.format.name, source, stream.index):
+                # What FFmpeg does not know has no context.
+                codec = getattr(stream.codec_context, 'name', 'of an unknown codec')
                 logger.warning('%s: its sound is %s, which %s files cannot hold, and is left out',
-                               self._name, stream.codec_context.name, target.format.name)
+                               self._name, codec, target.format.name)
                 continue
             copied = target.add_stream_from_template(stream)
             copied.metadata.update(stream.metadata)
@@ -132,6 +134,8 @@ def can_hold(format_name: str, source: Path, index: int) -> bool:
     try:
         with av.open(io.BytesIO(), 'w', format_name) as trial, av.open(str(source)) as container:
             stream = container.streams[index]
+            if stream.codec_context is None:
+                return False
             copied = trial.add_stream_from_template(stream)
             packet = next(packet for packet in container.demux(stream) if packet.size)
             packet.stream = copied

@@ -43,6 +43,8 @@ class VideoRecording:
         self.topics: dict[str, str] = {}
         self.image_topic: str | None = None
         self.path = path
+        # Where the sound is that belongs to the pictures.
+        self.sound_path: Path | None = path
         self.name = path.name
         self._stretch = stretch
         self._cropped, unread = boxes_say(path)
@@ -127,4 +129,36 @@ class VideoRecording:
         if not container.streams.video:
             container.close()
             raise RecordingError(f'{self.path} has no video stream')
+        # So FFmpeg tells an unknown codec, and ends the process where it is to decode that.
+        if container.streams.video[0].codec_context is None:
+            container.close()
+            raise RecordingError(f'{self.path} has pictures of a codec that FFmpeg does not know')
         return container
+
+
+class PipedVideo(VideoRecording):
+    """
+    A video that comes through standard input, which can be read once.
+
+    Most MP4 files cannot, since what is in them stands at their ends. Of the sphere it is known
+    what is said with the pictures themselves; sound is left out.
+    """
+
+    def __init__(self, stretch: Stretch = Stretch()) -> None:
+        self.topics, self.image_topic, self.frame_count = {}, None, None
+        self.name = 'standard input'
+        self.path, self.sound_path = Path('pipe:0'), None
+        self._stretch = stretch
+        self._cropped = None
+        self._skip_log = SkipLog(self.name)
+        self._is_read = False
+
+    def frames(self) -> Generator[Frame, None, None]:
+        """Yield the Frames as they are decoded; RecordingError where they have been before."""
+        if self._is_read:
+            raise RecordingError(f'{self.name} can be read only once')
+        self._is_read = True
+        with self._open() as container:
+            pictures = PictureStream(container, self.name, self._skip_log)
+            self._say_what_is_assumed(pictures)
+            yield from self._frames(pictures, pictures.stamped())

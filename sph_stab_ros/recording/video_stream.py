@@ -167,9 +167,7 @@ def time_ns(item: 'av.Packet[av.VideoStream] | av.VideoFrame') -> int | None:
 
 def rate_of(stream: 'av.VideoStream') -> Fraction:
     """Return the pictures a second that a stream says, or what is assumed."""
-    # A stream of an unknown codec has no context.
-    context = stream.codec_context
-    rate = (context and context.framerate) or stream.guessed_rate or stream.average_rate
+    rate = stream.codec_context.framerate or stream.guessed_rate or stream.average_rate
     return Fraction(rate) if rate and 1 <= rate <= 1000 else ASSUMED_RATE
 
 

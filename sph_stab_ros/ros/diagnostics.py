@@ -9,7 +9,7 @@
 """What became of the images: counted, logged without flooding, summed up for /diagnostics."""
 
 from collections import Counter
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from threading import Lock
 from time import monotonic
 from typing import Any
@@ -135,13 +135,14 @@ class Diagnostics:
             self._imu_error = str(error)
         self._log.warn('imu', f'imu ignored: {error}')
 
-    def status(
-            self, dropped: int, not_drawn: int, why_no_images: str = '') -> DiagnosticStatus:
+    def status(self, dropped: int, not_drawn: int, why_no_images: str = '',
+               source: Mapping[str, Any] = {}) -> DiagnosticStatus:
         """
         Return the DiagnosticStatus of the time since the last call.
 
         So many frames were ``dropped`` in all, and so many tracked but not drawn;
-        ``why_no_images`` says why there have been none for a while, where that is known.
+        ``why_no_images`` says why there have been none for a while, where that is known, and
+        ``source`` what there is to say of where they come from.
         """
         with self._lock:
             elapsed_s = monotonic() - self._period_start_s
@@ -154,6 +155,7 @@ class Diagnostics:
                 'frames': self._frames,
                 **{f'frames: {status.value}': self._tracking[status] for status in TrackingStatus},
                 **self._state(),
+                **source,
                 'dropped': dropped,
                 'not_drawn': not_drawn,
                 'refused': sum(self._refused.values()),

@@ -13,9 +13,11 @@ from time import monotonic
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
+from sph_stab_ros.config import NodeConfig
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame, video_codec
 from sph_stab_ros.images.frame import Frame, source_from_message
+from sph_stab_ros.images.jpeg import JpegFile
 from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import PictureTime, Stamp
 from sph_stab_ros.images.video.picture import VideoPicture
@@ -29,7 +31,7 @@ MOST_UNDECODED = 30
 
 
 class ReceivedImage(NamedTuple):
-    """A message that holds a picture, or the picture that a decoder made of one."""
+    """A message that holds a picture, or the picture of a source or a decoder."""
 
     content: Any
     stamp_ns: int
@@ -39,9 +41,9 @@ class ReceivedImage(NamedTuple):
     def frame(self, times: PictureTime) -> Frame:
         """Return the Frame of it, whose times these are; ImageError where there is no picture."""
         content = self.content
-        return Frame(
-            content if isinstance(content, VideoPicture) else source_from_message(content),
-            times.stamp_ns, self.frame_id, times)
+        is_picture = isinstance(content, (VideoPicture, JpegFile))
+        return Frame(content if is_picture else source_from_message(content),
+                     times.stamp_ns, self.frame_id, times)
 
 
 class ImageInput:
@@ -53,8 +55,8 @@ class ImageInput:
     Parameters
     ----------
     node : rclpy.node.Node
-    transport : str
-        One of those in ``ros.topics``; ConfigError where its messages are not installed.
+    config : NodeConfig
+        Names the transport; ConfigError where its messages are not installed.
     take : callable
         Takes each ReceivedImage, in the order of presentation.
     diagnostics : Diagnostics
@@ -62,8 +64,9 @@ class ImageInput:
 
     """
 
-    def __init__(self, node: Node, transport: str, take: Callable[[ReceivedImage], None],
+    def __init__(self, node: Node, config: NodeConfig, take: Callable[[ReceivedImage], None],
                  diagnostics: Diagnostics) -> None:
+        transport = config.image_transport
         self._node = node
         self._take = take
         self._diagnostics = diagnostics
@@ -71,7 +74,7 @@ class ImageInput:
             lambda text: diagnostics.event('key_picture', text), is_live=True)
         self._decoding = Worker('decoding', self._decode, MOST_UNDECODED)
         images = subscribe_to_images(node, 'image', transport, self._on_image)
-        self.topic_name: str = images.topic_name
+        self.name: str = images.topic_name
         self._silence = SilenceWatch(node, images, transport)
 
     @property
@@ -82,6 +85,10 @@ class ImageInput:
     def why_silent(self) -> str:
         """Return why there have been no images for a while, '' where there have been some."""
         return self._silence.reason()
+
+    def state(self) -> dict[str, Any]:
+        """Return nothing: who publishes the images has diagnostics of its own."""
+        return {}
 
     def start(self) -> None:
         """Start to decode."""

@@ -10,7 +10,8 @@
 The ROS 2 node: spherical images in; orientation, stabilised images and steerable views out.
 
 Subscribes to ``image`` (sensor_msgs/Image), ``image/compressed`` (sensor_msgs/CompressedImage) or
-others, as ``image_transport`` says (``ros.topics``), where ``level`` is ``imu`` to ``imu``
+others, as ``image_transport`` says (``ros.topics``), or reads the camera or stream that ``source``
+names itself (``ros.source_input``). Subscribes where ``level`` is ``imu`` to ``imu``
 (sensor_msgs/Imu), and for each view to what steers it, see ``ros.views``.
 
 Publishes ``orientation`` (geometry_msgs/QuaternionStamped, ``R_world_camera``),
@@ -65,6 +66,7 @@ from sph_stab_ros.ros.image_input import ImageInput, ReceivedImage
 from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.publishers import Outputs
+from sph_stab_ros.ros.source_input import SourceInput
 from sph_stab_ros.ros.topics import advertise
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
@@ -97,8 +99,8 @@ class StabilizerNode(Node):
         # orientation waits for neither.
         self._tracking = Worker('tracking', partial(self._safely, self._track))
         self._drawing = Worker('drawing', partial(self._safely, self._draw))
-        self._images = ImageInput(
-            self, config.image_transport, self._tracking.put, self._diagnostics)
+        self._images = (SourceInput if config.source else ImageInput)(
+            self, config, self._tracking.put, self._diagnostics)
         self._imu = ImuInput(self, self._stabilizer.add_imu_samples, self._diagnostics)
         self._imu.listen(config.level == IMU)
 
@@ -110,7 +112,7 @@ class StabilizerNode(Node):
         self.add_post_set_parameters_callback(self._apply_parameters)
         for name in undeclared_overrides(self):
             self.get_logger().warning(f"there is no parameter '{name}'")
-        self.get_logger().info(f'waiting for images on {self._images.topic_name}')
+        self.get_logger().info(f'waiting for images on {self._images.name}')
 
     def start(self) -> None:
         """Start the workers."""
@@ -179,7 +181,7 @@ class StabilizerNode(Node):
             header=Header(stamp=self.get_clock().now().to_msg()),
             status=[self._diagnostics.status(
                 self._images.dropped + self._tracking.dropped, self._drawing.dropped,
-                self._images.why_silent())]))
+                self._images.why_silent(), self._images.state())]))
         give_back_freed_memory()
 
     # In the workers' threads.

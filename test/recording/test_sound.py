@@ -10,7 +10,7 @@
 
 import numpy as np
 import pytest
-from sph_stab_ros.recording import open_recording
+from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.replay import main as replay
 from tiny_recordings import textured_sphere
 
@@ -128,6 +128,19 @@ def test_what_the_file_cannot_hold_is_left_out_and_named(tmp_path, caplog, codec
     with av.open(str(tmp_path / out)) as container:
         assert not container.streams.audio
         assert len(list(container.decode(video=0))) == 5
+
+
+@pytest.mark.parametrize('unknown', (b'mp4a', b'avc1'))
+def test_an_unknown_codec_is_named(tmp_path, caplog, unknown):
+    """Of the sound it costs the sound; what FFmpeg cannot decode would end the process."""
+    path = video(tmp_path / 'a.mp4')
+    path.write_bytes(path.read_bytes().replace(unknown, b'zzzz').replace(b'esds', b'zzzz'))
+    if unknown == b'mp4a':
+        call(path, tmp_path / 'out.mp4')
+        assert 'its sound is of an unknown codec, which mp4 files cannot hold' in caplog.text
+    else:
+        with pytest.raises(RecordingError, match='of a codec that FFmpeg does not know'):
+            open_recording(path)
 
 
 def test_without_sound_there_is_none(turning_video, tmp_path, caplog):

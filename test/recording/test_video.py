@@ -9,7 +9,10 @@
 """Video files: pixel aspect, rotation, times, damage; and the metadata of levelled ones."""
 
 from fractions import Fraction
+import os
 import struct
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -241,3 +244,22 @@ def test_damaged_metadata_say_nothing(tmp_path):
         assert tilt_removed_in_camera(path) in (False, True)
         path.write_bytes(rng.bytes(100))
         assert not tilt_removed_in_camera(path)
+
+
+def test_a_video_through_a_pipe_is_that_of_the_file(tmp_path, turning):
+    """From a time on, too; once."""
+    path = encode(tmp_path / 'ride.mkv', turning[0])
+    script = ('from sph_stab_ros.recording import open_recording, RecordingError\n'
+              'recording = open_recording("-", start_s=0.1)\n'
+              'for frame in recording.frames():\n'
+              '    print(frame.stamp_ns, frame.image.sum())\n'
+              'try:\n    next(recording.frames())\n'
+              'except RecordingError as error:\n    print(error)')
+    with open(path, 'rb') as pipe:
+        said = subprocess.run([sys.executable, '-c', script], stdin=pipe, text=True, check=True,
+                              stdout=subprocess.PIPE, env={
+                                  **os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+    frames = [f'{one.stamp_ns} {one.image.sum()}'
+              for one in open_recording(path, start_s=0.1).frames()]
+    assert 5 < len(frames) < len(turning[0])
+    assert said.stdout.splitlines() == [*frames, 'standard input can be read only once']
