@@ -56,7 +56,12 @@ async def film(site, numbers, *browsers, period_s=0.01):
     for n in numbers:
         site.server.show(picture(n))
         await asyncio.sleep(period_s)
-    await asyncio.sleep(0.2)
+    # Any may be left out, so the last one is shown until all have it.
+    end_s = asyncio.get_running_loop().time() + TIMEOUT_S
+    while not all(headers and int(headers[-1]['stamp_ns']) == n for headers in got):
+        assert asyncio.get_running_loop().time() < end_s, 'the last picture does not come'
+        site.server.show(picture(n))
+        await asyncio.sleep(0.03)
     for one in drawing:
         one.cancel()
     await asyncio.gather(*drawing, return_exceptions=True)
@@ -72,8 +77,9 @@ async def test_who_asks_for_video_gets_one_and_others_files(site):
     assert [one['chunk'] for one in got[:3]] == ['key', 'delta', 'delta']
     assert all(files)
     assert not any(one['chunk'] for headers in files for one in headers)
-    stamps_ns = [int(one['stamp_ns']) for one in got]
-    assert stamps_ns == sorted({one['sequence'] for one in got}) and stamps_ns[-1] == 39
+    sequences = [one['sequence'] for one in got]
+    assert sequences == sorted(set(sequences))
+    assert all(int(one['stamp_ns']) == min(one['sequence'], 39) for one in got)
 
 
 @with_video()
@@ -96,12 +102,12 @@ async def test_a_browser_that_acknowledges_nothing_delays_no_other(site):
     stuck, liar = [await site.connect('?video=h264') for _ in range(2)]
     await liar.send('drawn', sequence=2**53 - 1)
     got, = await film(site, range(300), good, period_s=0.004)
-    assert int(got[-1]['stamp_ns']) == 299
+    assert len(got) > 1
     # They cost it key pictures, but few.
     assert sum(one['chunk'] == 'key' for one in got) < len(got) / 4
-    # Once it draws, one more comes.
+    # Once it draws, more come.
     stuck_has, = await film(site, [300], stuck)
-    assert 0 < len(stuck_has) <= MAX_VIDEO_UNDRAWN + 1
+    assert 0 < sum(int(one['stamp_ns']) < 300 for one in stuck_has) <= MAX_VIDEO_UNDRAWN
 
 
 @with_video()
