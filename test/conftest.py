@@ -34,6 +34,8 @@ FOLDER_MARKERS = {
     'operator/test_operator_robot.py': pytest.mark.ros,
     'operator/test_operator_connection.py': pytest.mark.browser,
     'operator/test_operator_page.py': pytest.mark.browser,
+    'operator/test_operator_video_page.py': pytest.mark.browser,
+    'operator/test_operator_video_link.py': pytest.mark.browser,
     'operator/test_operator_graphics.py': pytest.mark.browser,
     'operator/test_operator_layout.py': pytest.mark.browser,
     'operator/test_operator_renderers.py': pytest.mark.browser,

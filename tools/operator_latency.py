@@ -16,14 +16,13 @@ The page shows the raw picture, whose middle stays in the middle; it takes the s
 """
 
 from argparse import ArgumentParser
-from contextlib import contextmanager
+from contextlib import nullcontext
 from itertools import chain, cycle, islice
 import json
 import os
 from pathlib import Path
 import shutil
 import socket
-import subprocess
 import sys
 import tempfile
 import time
@@ -39,28 +38,30 @@ from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.recording import decoded_frames, open_recording
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / 'test/support'))
+from bad_link import BadLink, why_not  # noqa: E402, I100
+from operator_browser import Browser, free_port, SIZE_WH, wait_until  # noqa: E402
+
 NAMESPACE = 'benchmark'
 PICTURES = 60
 WARM_UP_S = 3.
-STARTUP_S = 60.
 # Bits of the number, and the same bits inverted, to tell a number from anything else.
 BITS = 8
 BLOCK_RAD = 2 * np.pi / 160
-SIZE_WH = 1280, 720
 FOV_RAD = np.deg2rad(100)
 PERCENTILES = (50, 95, 99)
 KEY = 'operator_page'
-# WebGL in software where there is no graphics card; no connections of the browser's own.
-CHROMIUM_FLAGS = (
-    '--no-sandbox', '--disable-quic', '--no-first-run', '--disable-background-networking',
-    '--disable-component-update', '--disable-sync',
-    '--enable-unsafe-swiftshader')
+TOKEN = 'sesame'
+SAMPLES_PER_S = 2
 # The attribute is set by whoever has just drawn; observers are called before the canvas goes to
 # the display.
 PROBE = """columns => {
     const place = document.getElementById('picture'), canvas = place.querySelector('canvas');
     const flat = canvas.getContext('2d'), gl = canvas.getContext('webgl2');
     window.drawn = [];
+    window.mbit_s = [];
+    setInterval(() => window.mbit_s.push(parseFloat(
+        document.querySelector('[data-figure=mbit_s]').textContent)), 500);
     new MutationObserver(() => {
         const {width, height} = canvas;
         const row = flat ? flat.getImageData(0, height >> 1, width, 1).data
@@ -126,7 +127,7 @@ def publish(args, node, publisher, msgs):
     return sent
 
 
-def figures(args, sent, drawn, cpu_percent):
+def figures(args, sent, drawn, mbit_s, cpu_percent):
     """Return what became of the pictures after the warm-up."""
     counted = dict(islice(sent.items(), round(WARM_UP_S * args.rate), None))
     # Date's clock and the page's are the same machine's.
@@ -141,27 +142,39 @@ def figures(args, sent, drawn, cpu_percent):
         'machine': machine(), 'pictures': args.pictures, 'transport': args.transport,
         'width': args.width, 'rate_hz': args.rate, 'frames': len(counted), 'drawn': len(values),
         'wrong_numbers': wrong, 'cpu_percent': cpu_percent,
+        'video': args.video, 'link': args.link, 'mbit_s': float(np.mean(mbit_s)),
         'latency_ms': {f'p{q}': float(np.percentile(values, q)) for q in PERCENTILES if values}}
 
 
 def measure(args, chromium):
     """Return the figures; ``chromium`` is the browser's path."""
+    with BadLink(*args.link) if args.link else nullcontext() as link, \
+            tempfile.NamedTemporaryFile('w', suffix='.token') as token_file:
+        token_file.write(TOKEN)
+        token_file.flush()
+        return measure_over(link, token_file.name, args, chromium)
+
+
+def measure_over(link, token_file, args, chromium):
+    """Return the figures over a BadLink, or without one."""
     msgs = messages(args)
     ros = ('--ros-args', '-r', f'__ns:=/{NAMESPACE}')
-    port = free_port()
+    host, port = link.near if link else '127.0.0.1', free_port()
     rclpy.init()
     node = rclpy.create_node('camera', namespace=NAMESPACE)
     publisher = node.create_publisher(
         CompressedImage if args.transport == 'compressed' else Image,
         'image/compressed' if args.transport == 'compressed' else 'image', QoSProfile(depth=5))
     transport = '-p', f'image_transport:={args.transport}'
-    page_arguments = '--port', str(port), '--pictures', args.pictures
+    page_arguments = ('--host', host, '--port', str(port), '--token-file', token_file,
+                      '--pictures', args.pictures)
     with running('stabilizer', *ros, *transport) as stabilizer, \
             running('operator', *page_arguments, *ros) as server, \
-            Browser(chromium) as browser:
-        wait_until(lambda: socket.socket().connect_ex(('127.0.0.1', port)) == 0)
+            Browser(chromium, link) as browser:
+        wait_until(lambda: socket.socket().connect_ex((host, port)) == 0)
         with browser.page() as page:
-            page.goto(f'http://127.0.0.1:{port}/')
+            page.goto(f"http{'s' if link else ''}://{host}:{port}/?token={TOKEN}"
+                      + ('&video=jpeg' if args.video == 'jpeg' else ''))
             wanted = 2 if args.pictures == 'camera' else 1
             wait_until(lambda: publisher.get_subscription_count() >= wanted)
             # The first picture, for the page to be ready.
@@ -173,54 +186,14 @@ def measure(args, chromium):
         sent = publish(args, node, publisher, msgs)
         spent_s = np.subtract([time.monotonic(), *map(cpu_s, (stabilizer.pid, server.pid))],
                               before_s)
-        time.sleep(2)
         with browser.page() as page:
+            mbit_s = page.evaluate('window.mbit_s')[round(SAMPLES_PER_S * WARM_UP_S):]
+            time.sleep(2)
             drawn = page.evaluate('window.drawn')
     rclpy.try_shutdown()
     percent = 100 * spent_s[1:] / spent_s[0]
-    return figures(args, sent, drawn, dict(zip(('stabilizer', 'operator'), percent.tolist())))
-
-
-class Browser:
-    """
-    A headless Chromium with one page.
-
-    Its driver is there only within ``page``: while pictures come it would be told of each.
-    """
-
-    def __init__(self, chromium):
-        self._port = free_port()
-        self._folder = tempfile.TemporaryDirectory()
-        width, height = SIZE_WH
-        self._process = subprocess.Popen(
-            (chromium, '--headless', *CHROMIUM_FLAGS, f'--window-size={width},{height}',
-             f'--remote-debugging-port={self._port}', f'--user-data-dir={self._folder.name}',
-             'about:blank'), stderr=subprocess.DEVNULL)
-
-    def __enter__(self):
-        wait_until(lambda: socket.socket().connect_ex(('127.0.0.1', self._port)) == 0)
-        return self
-
-    def __exit__(self, *_):
-        self._process.terminate()
-        self._process.wait()
-        self._folder.cleanup()
-
-    @contextmanager
-    def page(self):
-        """Give the page to the driver."""
-        from playwright.sync_api import sync_playwright
-        with sync_playwright() as driver:
-            browser = driver.chromium.connect_over_cdp(f'http://127.0.0.1:{self._port}')
-            yield browser.contexts[0].pages[0]
-            browser.close()
-
-
-def free_port():
-    """Return a TCP port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
+    return figures(args, sent, drawn, mbit_s,
+                   dict(zip(('stabilizer', 'operator'), percent.tolist())))
 
 
 def publish_one(publisher, msg):
@@ -228,15 +201,6 @@ def publish_one(publisher, msg):
     msg.header.stamp = Time(nanoseconds=time.time_ns()).to_msg()
     publisher.publish(msg)
     time.sleep(0.1)
-
-
-def wait_until(condition):
-    """Wait until a condition holds; end the program where it does not."""
-    end_s = time.monotonic() + STARTUP_S
-    while not condition():
-        if time.monotonic() > end_s:
-            sys.exit('operator_latency: node, server and page did not come up')
-        time.sleep(0.05)
 
 
 def main():
@@ -255,22 +219,33 @@ def main():
                         help='pictures per second (default: %(default)s)')
     parser.add_argument('--frames', metavar='N', type=int, default=300,
                         help='pictures that count (default: %(default)s)')
+    parser.add_argument('--video', choices=('h264', 'jpeg'), default='h264',
+                        help='what the page asks for (default: %(default)s)')
+    parser.add_argument('--link', metavar='X', nargs=3, type=float,
+                        help='over a bad link: Mbit/s, seconds of round trip, share of packets '
+                             'that get lost (6 0.04 0.01); takes root')
     parser.add_argument('--add-to', metavar='FILE', type=Path,
-                        help=f"add all figures to those in a JSON file, as '{KEY}'")
+                        help=f"add all figures to those in a JSON file, as '{KEY}', or "
+                             f"'{KEY}_link' with --link")
     args = parser.parse_args()
     chromium = shutil.which(os.environ.get('CHROMIUM') or 'chromium')
     if not chromium:
         sys.exit('operator_latency: there is no chromium; name one with CHROMIUM=...')
+    if args.link and why_not():
+        sys.exit(f'operator_latency: no bad link here: {why_not()}')
     result = measure(args, chromium)
     latency = ', '.join(f'{name} {value:.0f}' for name, value in result['latency_ms'].items())
     cpu = ', '.join(f'{name} {value:.0f}' for name, value in result['cpu_percent'].items())
+    over = ' over {:g} Mbit/s, {:g} s, loss {:g}'.format(*args.link) if args.link else ''
     print(f"operator's page, {args.pictures}, {args.transport}, {args.width} columns at "
-          f"{args.rate:g} Hz: {result['drawn']}/{result['frames']} drawn, "
+          f"{args.rate:g} Hz, {args.video}{over}: {result['mbit_s']:.1f} Mbit/s, "
+          f"{result['drawn']}/{result['frames']} drawn, "
           f"{result['wrong_numbers']} with a wrong number; latency ms {latency}; CPU % {cpu}; "
           f"load before {result['machine']['load_before']:.1f}")
     if args.add_to:
         others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
-        args.add_to.write_text(json.dumps({**others, KEY: result}, indent=2) + '\n')
+        key = f'{KEY}_link' if args.link else KEY
+        args.add_to.write_text(json.dumps({**others, key: result}, indent=2) + '\n')
 
 
 if __name__ == '__main__':

@@ -16,7 +16,7 @@ on SIGINT and SIGTERM.
 
 from argparse import Namespace
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import logging
 from pathlib import Path
 import signal
@@ -37,6 +37,7 @@ from sph_stab_ros.operator.addresses import own_address
 if TYPE_CHECKING:
     from sph_stab_ros.operator.listening import Listener
     from sph_stab_ros.operator.server import OperatorServer
+    from sph_stab_ros.operator.video import Video
 
 PORT = 8360
 LOOPBACK = '127.0.0.1'
@@ -78,6 +79,10 @@ def arguments(argv: Sequence[str]) -> Namespace:
     parser.add_argument('--pictures', choices=('camera', 'stabilizer'), default='camera',
                         help="whose pictures to send; the stabilizer's costs more, and is for "
                              'cameras that are not equirectangular (default: %(default)s)')
+    parser.add_argument('--encoder', choices=('x264', 'none'), default='x264',
+                        help='what makes a video of the pictures for browsers that take one: a '
+                             'tenth of the bits for half a core; none sends JPEG alone '
+                             '(default: %(default)s)')
     args = parser.parse_args(argv)
     if args.port is not None and not 0 <= args.port < 2**16:
         parser.error('--port lies within 0 and 65535')
@@ -158,8 +163,9 @@ async def serve(args: Namespace) -> None:
     if unknown:
         LOG.warning('there is no parameter %s here; those of the stabilizer are set at that node',
                     ', '.join(map(repr, unknown)))
-    server = OperatorServer(robot, Access(args.host, token), ThrottledLog(LOG.warning).warn,
-                            args.browsers)
+    warn = ThrottledLog(LOG.warning).warn
+    server = OperatorServer(robot, Access(args.host, token), warn, args.browsers,
+                            video(warn) if args.encoder == 'x264' else None)
     if tls and tls.authority_pem:
         server.offer_file(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
     try:
@@ -180,6 +186,21 @@ async def serve(args: Namespace) -> None:
     finally:
         with bounded_ending():
             robot.destroy_node()
+
+
+def video(warn: Callable[[str, str], object]) -> 'Video | None':
+    """Return what encodes, or None where it cannot be, with a line in the log."""
+    try:
+        from sph_stab_ros.operator.h264 import can_encode
+        from sph_stab_ros.operator.video import Video
+        if can_encode():
+            return Video(warn)
+    except ImportError as error:
+        if error.name != 'av':
+            raise
+    LOG.info('pictures go out as JPEG: video needs PyAV with libx264: '
+             "pip install 'sph_stab_ros[video]'")
+    return None
 
 
 async def start(server: 'OperatorServer', host: str, port: int | None,

@@ -6,19 +6,17 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""One browser: what waits to be sent to it, how fast it draws, how much it may say."""
+"""One browser: what it is to be sent, how fast it draws, how much it may say."""
 
 from asyncio import Event
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from time import monotonic
 
+from sph_stab_ros.operator.flow import Flow, StillFlow, VideoFlow
 from sph_stab_ros.operator.listening import Allowance
-from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import picture_message
 
-# One picture is decoded and drawn while the next one is on its way.
-MAX_UNDRAWN = 2
 # A page sends one look and one acknowledgement per picture of its display, at 120 Hz or less.
 MESSAGES_PER_S = 300.
 BURST = 600.
@@ -28,13 +26,12 @@ WINDOW_S = 2.0
 
 class Client:
     """
-    What one browser is to get next: the newest picture and the newest text of each kind.
+    What one browser is to get next: a picture of its ``flow``, and the newest text of each kind.
 
-    Nothing queues up: a slow browser skips pictures, and has MAX_UNDRAWN of them on their way at
-    most, so that it delays neither others nor itself.
+    ``video`` is the flow where that is one of video, else None.
     """
 
-    def __init__(self, name: str | None, page: str = '',
+    def __init__(self, name: str | None, page: str = '', wants_video: bool = False,
                  clock: Callable[[], float] = monotonic) -> None:
         self.name = name
         # What tells a page that comes back from others; '' where it does not say.
@@ -43,18 +40,12 @@ class Client:
         self.busy = False
         self._clock = clock
         self._wake = Event()
+        self.video = VideoFlow(self._wake.set, clock) if wants_video else None
+        self.flow: Flow = self.video or StillFlow(self._wake.set)
         self._texts: dict[str, str] = {}
-        self._picture: tuple[int, Picture] | None = None
-        # When the camera's picture was received, by sequence.
-        self._undrawn: dict[int, float] = {}
         # When each was drawn, and how long after it was received.
         self._drawn: deque[tuple[float, float]] = deque()
         self._allowance = Allowance(MESSAGES_PER_S, BURST, clock)
-
-    def offer_picture(self, sequence: int, picture: Picture) -> None:
-        """Replace the picture that waits to be sent."""
-        self._picture = sequence, picture
-        self._wake.set()
 
     def offer_text(self, kind: str, text: str) -> None:
         """Replace the text of this kind that waits to be sent."""
@@ -68,25 +59,20 @@ class Client:
             self._wake.clear()
             while self._texts:
                 yield self._texts.pop(next(iter(self._texts)))
-            if self._picture and len(self._undrawn) < MAX_UNDRAWN:
-                (sequence, picture), self._picture = self._picture, None
-                self._undrawn[sequence] = picture.received_s
-                yield picture_message(sequence, picture)
+            if numbered := self.flow.next_picture():
+                yield picture_message(*numbered)
                 # A text may have come meanwhile.
                 self._wake.set()
 
     def drawn(self, sequence: int) -> None:
         """Note that a picture is drawn, and those before it are drawn or skipped."""
         now_s = self._clock()
-        if sequence in self._undrawn:
-            self._drawn.append((now_s, now_s - self._undrawn[sequence]))
-        self.skipped(sequence)
+        if picture := self.flow.acknowledge(sequence):
+            self._drawn.append((now_s, now_s - picture.received_s))
 
     def skipped(self, sequence: int) -> None:
         """Note that a picture, or one before it, will not be drawn any more."""
-        self._undrawn = {later: received_s for later, received_s in self._undrawn.items()
-                         if later > sequence}
-        self._wake.set()
+        self.flow.acknowledge(sequence)
 
     def rate_and_latency(self) -> tuple[float, float | None]:
         """

@@ -42,6 +42,7 @@ class Picture:
 
     ``data`` is a JPEG or PNG file, ``received_s`` its time of receipt by ``monotonic``;
     ``orientation`` is None without a node. ``derotated`` tells that it is the virtual camera's.
+    Of a picture in a video ``data`` is H.264, and ``chunk`` 'key' or 'delta', as WebCodecs say.
     """
 
     stamp_ns: int
@@ -49,6 +50,7 @@ class Picture:
     received_s: float
     orientation: Orientation | None = None
     derotated: bool = False
+    chunk: str = ''
 
 
 class StampedOrientations:

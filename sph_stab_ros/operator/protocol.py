@@ -10,7 +10,8 @@
 What server and page say to each other over the WebSocket.
 
 To the page: pictures as binary messages, a header of JSON and the image file behind it
-(``picture_message``); everything else as JSON texts with a ``type``: ``state``, ``notice``.
+(``picture_message``); everything else as JSON texts with a ``type``: ``state``, ``notice``,
+``echo``.
 
 From the page: JSON texts, each one of the commands below; whatever else is a ProtocolError.
 """
@@ -47,6 +48,23 @@ class Drawn:
 @dataclass(frozen=True)
 class Skipped(Drawn):
     """The page cannot draw this picture; another one may come."""
+
+
+@dataclass(frozen=True)
+class NeedKey:
+    """The page lacks a picture that those after it in the video need."""
+
+
+@dataclass(frozen=True)
+class Echo:
+    """The page asks for this number back, and for the time."""
+
+    sent_ms: float
+
+    def __post_init__(self) -> None:
+        """Check the value."""
+        if not (type(self.sent_ms) in (int, float) and abs(self.sent_ms) < 2**53):
+            raise ProtocolError('sent_ms is not a time')
 
 
 @dataclass(frozen=True)
@@ -94,11 +112,13 @@ class SetMode:
             raise ProtocolError('mode is not a name')
 
 
-Command: TypeAlias = Drawn | Skipped | Look | TakeControl | ResetHeading | Level | SetMode
+Command: TypeAlias = (
+    Drawn | Skipped | NeedKey | Echo | Look | TakeControl | ResetHeading | Level | SetMode)
 
 COMMANDS: dict[str, type[Command]] = {
-    'drawn': Drawn, 'skipped': Skipped, 'look': Look, 'take_control': TakeControl,
-    'reset_heading': ResetHeading, 'level': Level, 'set_mode': SetMode}
+    'drawn': Drawn, 'skipped': Skipped, 'need_key': NeedKey, 'echo': Echo, 'look': Look,
+    'take_control': TakeControl, 'reset_heading': ResetHeading, 'level': Level,
+    'set_mode': SetMode}
 
 
 def parse_command(text: str) -> Command:
@@ -121,7 +141,7 @@ def picture_message(sequence: int, picture: Picture) -> bytes:
     Return the binary message of a Picture.
 
     Its first four bytes, little-endian, tell the length of the JSON behind them; the rest is the
-    image file.
+    image file, or the part of a video.
     """
     header = json.dumps({
         'sequence': sequence,
@@ -129,6 +149,7 @@ def picture_message(sequence: int, picture: Picture) -> bytes:
         'stamp_ns': str(picture.stamp_ns),
         'orientation': picture.orientation and asdict(picture.orientation),
         'derotated': picture.derotated,
+        'chunk': picture.chunk,
     }).encode()
     return b''.join((pack('<I', len(header)), header, picture.data))
 

@@ -14,7 +14,8 @@ from contextlib import suppress
 from dataclasses import asdict
 import logging
 from ssl import SSLContext
-from typing import Any
+from time import time
+from typing import Any, TYPE_CHECKING
 
 from aiohttp import web, WSCloseCode
 
@@ -26,8 +27,11 @@ from sph_stab_ros.operator.operated_robot import OperatedRobot, RobotError
 from sph_stab_ros.operator.page_files import headers, PAGE, page_files
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import (
-    Command, Drawn, Level, Look, MAX_MESSAGE_BYTES, parse_command, ProtocolError, ResetHeading,
-    SetMode, Skipped, TakeControl, text_message)
+    Command, Drawn, Echo, Level, Look, MAX_MESSAGE_BYTES, NeedKey, parse_command, ProtocolError,
+    ResetHeading, SetMode, Skipped, TakeControl, text_message)
+
+if TYPE_CHECKING:
+    from sph_stab_ros.operator.video import Video
 
 MAX_CLIENTS = 5
 STATE_PERIOD_S = 0.2
@@ -46,15 +50,18 @@ class OperatorServer:
         Whom it steers, and who may.
     warn
         Logs a text; the kind of event comes before it, so that a flood can be held back.
+    video
+        Where there is one, for browsers that take it in place of files.
 
     """
 
     def __init__(self, robot: OperatedRobot, access: Access, warn: Callable[[str, str], object],
-                 max_clients: int = MAX_CLIENTS) -> None:
+                 max_clients: int = MAX_CLIENTS, video: 'Video | None' = None) -> None:
         self._robot = robot
         self._access = access
         self._warn = warn
         self._max_clients = max_clients
+        self._video = video
         self._files = page_files()
         self._guard = ConnectionGuard()
         self._browsers: dict[Client, BrowserSocket] = {}
@@ -87,7 +94,10 @@ class OperatorServer:
         """Send a Picture to all browsers that are ready for it."""
         self._picture_count += 1
         for client in self._browsers:
-            client.offer_picture(self._picture_count, picture)
+            if not client.video:
+                client.flow.offer(self._picture_count, picture)
+        if self._video:
+            self._video.offer(self._picture_count, picture)
 
     def _run(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Start a task, and keep it alive until it ends."""
@@ -135,7 +145,8 @@ class OperatorServer:
     async def _get_socket(self, request: web.Request) -> web.WebSocketResponse:
         self._check(self._access.check_socket, request)
         self._guard.let_stay(request)
-        client = Client(request.remote, request.query.get('page', ''))
+        client = Client(request.remote, request.query.get('page', ''),
+                        self._video is not None and request.query.get('video') == 'h264')
         socket = BrowserSocket(client.may_speak)
         response = await socket.accept(request)
         former = self._former(client)
@@ -161,6 +172,8 @@ class OperatorServer:
     async def _serve(self, socket: BrowserSocket, client: Client) -> None:
         """Talk to a browser until it goes, or has to."""
         self._robot.watch(True)
+        if self._video and client.video:
+            self._video.add(client.video)
         self._tell_all()
         tasks = self._run(self._send(socket, client)), self._run(self._watch(socket, client))
         try:
@@ -175,6 +188,8 @@ class OperatorServer:
         finally:
             for task in tasks:
                 task.cancel()
+            if self._video and client.video:
+                self._video.remove(client.video)
             self._browsers.pop(client, None)
             if self._in_control is client:
                 self._in_control = None
@@ -200,6 +215,12 @@ class OperatorServer:
             client.skipped(command.sequence)
         elif isinstance(command, Drawn):
             client.drawn(command.sequence)
+        elif isinstance(command, NeedKey):
+            if client.video:
+                client.video.lose_step()
+        elif isinstance(command, Echo):
+            client.offer_text('echo', text_message(
+                'echo', sent_ms=command.sent_ms, server_ms=1e3 * time()))
         elif isinstance(command, TakeControl):
             self._in_control = client
             self._tell_all()
@@ -245,6 +266,7 @@ class OperatorServer:
                 'taken' if self._in_control else 'free')
             client.offer_text('state', text_message(
                 'state', robot=robot, control=control, browsers=len(self._browsers),
+                can_video=self._video is not None,
                 rate_hz=round(rate_hz, 1),
                 latency_ms=None if latency_s is None else round(1e3 * latency_s)))
 
@@ -256,6 +278,9 @@ class OperatorServer:
             await asyncio.sleep(STATE_PERIOD_S)
 
     async def _close_all(self, app: web.Application) -> None:
+        if self._video:
+            self._video.close()
+            self._video = None
         for task in tuple(self._tasks):
             task.cancel()
         await asyncio.gather(*(

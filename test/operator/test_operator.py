@@ -201,6 +201,7 @@ def test_no_text_does_more_than_be_refused():
 
 @pytest.mark.parametrize('arguments', [
     ['--port', 'x'], ['--port', '70000'], ['--browsers', '0'], ['--colour', 'red'],
+    ['--encoder', 'crayon'],
     ['--token-file', '/nowhere'], ['--key', 'x'], ['--certificate', 'x', '--insecure'],
     ['--ros-args', '-r', 'x']])
 def test_wrong_calls(arguments, capsys):

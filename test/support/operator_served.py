@@ -67,10 +67,13 @@ class Served(Thread):
             while not self._ending:
                 one.robot.state = self.state
                 now_s = asyncio.get_running_loop().time()
-                one.server.show(Picture(
-                    round(1e9 * now_s), self.file, now_s - self.late_s,
-                    Orientation(IDENTITY, IDENTITY)))
+                one.server.show(self.picture(now_s))
                 await asyncio.sleep(PERIOD_S)
+
+    def picture(self, now_s):
+        """Return what the camera gives next."""
+        return Picture(round(1e9 * now_s), self.file, now_s - self.late_s,
+                       Orientation(IDENTITY, IDENTITY))
 
     def end(self):
         """End serving."""

@@ -15,6 +15,8 @@ import json
 from struct import unpack_from
 
 import aiohttp
+import cv2
+import numpy as np
 import pytest
 from sph_stab_ros.operator.access import Access
 from sph_stab_ros.operator.operated_robot import RobotError
@@ -43,6 +45,13 @@ BAD = [
 def picture(stamp_ns, size=10):
     """Return a Picture without orientation."""
     return Picture(stamp_ns, b'\xff\xd8' + bytes(size), 0.)
+
+
+def striped_jpeg(number=0, height=64):
+    """Return a JPEG file of a sphere of stripes that move with a number."""
+    rows, columns = np.mgrid[:height, :2 * height]
+    stripes = 128 + 100 * np.sin((columns + 3 * number) / 5 + rows / 9)
+    return cv2.imencode('.jpg', np.uint8(stripes))[1].tobytes()
 
 
 @dataclass(frozen=True)
@@ -163,12 +172,12 @@ class Site:
 
 
 @asynccontextmanager
-async def site(token=None, tls=None, **options):
+async def site(token=None, tls=None, host='127.0.0.1', **options):
     """Serve on a free port."""
     robot, warnings = StrawRobot(), []
-    server = OperatorServer(robot, Access('127.0.0.1', token),
+    server = OperatorServer(robot, Access(host, token),
                             lambda kind, text: warnings.append(text), **options)
-    listener = await server.start('127.0.0.1', 0, tls)
+    listener = await server.start(host, 0, tls)
     try:
         async with aiohttp.ClientSession() as session:
             yield Site(server, robot, listener.addresses[0][1], session, warnings)

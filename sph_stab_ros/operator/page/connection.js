@@ -4,21 +4,27 @@
 // The WebSocket to the server; comes back by itself.
 
 import {decode} from './decoder.js';
+import {VideoStream} from './video_stream.js';
 
 const FIRST_RETRY_MS = 300, LAST_RETRY_MS = 1000;
 // The server tells its state five times a second: a connection as silent as that is dead, also if
 // nobody has closed it.
 const CHECK_MS = 250, SILENT_CHECKS = 8;
+// In a row, of a video; one may be of a picture.
+const MAX_FAILURES = 3;
 const FULL = 1013, REFUSED = 1008, FORBIDDEN = 403;
 const MOVED = 'The address has changed: open the one that the operator command has printed.';
 // Tells the server that it is we who come back, not somebody else.
 const PAGE = Array.from(crypto.getRandomValues(new Uint32Array(4)), n => n.toString(36)).join('');
 
 export class Connection {
-  // handlers: picture({sequence, stamp_ns, orientation, image}), state(…), notice(…),
-  // open(), closed(reason), and maxColumns(), that the image may have.
-  constructor(handlers) {
+  // handlers: picture({sequence, stamp_ns, orientation, chunk, image}), state(…), notice(…), echo(…),
+  // received(bytes), withoutVideo() where that fails, open(), closed(reason), and maxColumns(), that
+  // the image may have. takesVideo: whether pictures may come as one.
+  constructor(handlers, takesVideo) {
     this.handlers = handlers;
+    this.takesVideo = takesVideo;
+    this.failures = 0;
     this.retryMs = FIRST_RETRY_MS;
     this.#open();
     setInterval(() => this.#check(), CHECK_MS);
@@ -35,11 +41,21 @@ export class Connection {
     const url = new URL('socket' + location.search, location.href);
     url.protocol = url.protocol === 'https:' ? 'wss:' : 'ws:';
     url.searchParams.set('page', PAGE);
+    if (this.takesVideo) url.searchParams.set('video', 'h264');
     const socket = this.socket = new WebSocket(url);
     // What comes late from a connection that was given up counts no more.
     const ifCurrent = handler => event => socket === this.socket && handler(event);
-    const decoder = new PictureDecoder(
-      ifCurrent(this.handlers.picture), this.handlers.maxColumns);
+    const {maxColumns} = this.handlers;
+    const decoder = new PictureDecoder(ifCurrent(this.handlers.picture), maxColumns);
+    const video = this.video = new VideoStream({
+      picture: ifCurrent(picture => {
+        this.failures = 0;
+        this.handlers.picture(picture);
+      }),
+      skipped: ifCurrent(sequence => this.send('skipped', {sequence})),
+      failed: ifCurrent(() => this.#videoFailed()),
+      maxColumns,
+    });
     let opened = false;
     this.checks = 0;
     socket.binaryType = 'arraybuffer';
@@ -51,7 +67,9 @@ export class Connection {
       this.checks = 0;
       this.retryMs = FIRST_RETRY_MS;
       if (typeof data !== 'string') {
-        decoder.take(data);
+        this.handlers.received(data.byteLength);
+        const [header, file] = parsed(data);
+        (header.chunk ? video : decoder).take(header, file);
         return;
       }
       const message = JSON.parse(data);
@@ -64,6 +82,19 @@ export class Connection {
     });
   }
 
+  // A browser that cannot after all gets files.
+  #videoFailed() {
+    this.failures += 1;
+    if (this.failures < MAX_FAILURES) {
+      this.send('need_key');
+      return;
+    }
+    this.takesVideo = false;
+    this.handlers.withoutVideo();
+    this.socket.close();
+    this.#lost('');
+  }
+
   // Counted, not timed: a page that was held up has not listened meanwhile.
   #check() {
     if (!this.socket || ++this.checks < SILENT_CHECKS) return;
@@ -73,6 +104,7 @@ export class Connection {
 
   #lost(reason) {
     this.socket = null;
+    this.video.close();
     this.handlers.closed(reason);
     setTimeout(() => this.#open(), this.retryMs);
     this.retryMs = Math.min(2 * this.retryMs, LAST_RETRY_MS);
@@ -95,12 +127,12 @@ class PictureDecoder {
     this.busy = false;
   }
 
-  async take(message) {
-    this.next = message;
+  async take(header, file) {
+    this.next = [header, file];
     if (this.busy) return;
     this.busy = true;
     while (this.next) {
-      const [header, file] = parsed(this.next);
+      const [header, file] = this.next;
       this.next = null;
       // A broken file is a picture without an image.
       const image = await decode(file, this.maxColumns()).catch(() => null);

@@ -37,15 +37,19 @@ async function planesOf(file, maxColumns) {
   if (!globalThis.ImageDecoder) return null;
   const decoder = new ImageDecoder({data: file, type: JPEG, colorSpaceConversion: 'none'});
   try {
-    const {image} = await decoder.decode();
-    try {
-      if (image.displayWidth > maxColumns) return await reduced(image, maxColumns);
-      return image.format in CHROMA ? await copied(image) : null;
-    } finally {
-      image.close();
-    }
+    return await imageOf((await decoder.decode()).image, maxColumns);
   } finally {
     decoder.close();
+  }
+}
+
+// Takes over a VideoFrame; returns what ``decode`` does. A card's own may have no planes to copy.
+export async function imageOf(frame, maxColumns) {
+  try {
+    if (frame.displayWidth > maxColumns) return await reduced(frame, maxColumns);
+    return frame.format in CHROMA ? await copied(frame) : await createImageBitmap(frame);
+  } finally {
+    frame.close();
   }
 }
 

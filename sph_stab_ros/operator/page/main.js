@@ -6,9 +6,11 @@
 import {Connection} from './connection.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
 import {inUse, Look} from './look.js';
+import {LinkPanel} from './link_panel.js';
 import {$, linkText, showNotice, showSituation, showState} from './panels.js';
 import {Renderer} from './renderer.js';
 import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
+import {canDecodeVideo} from './video_stream.js';
 
 const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
 const SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
@@ -21,7 +23,9 @@ const NO_CONTROL = {
   taken: 'Another operator steers: take control first.',
 };
 // What the server tells, as long as it tells nothing.
-const UNTOLD = {control: 'none', robot: null, rate_hz: null, latency_ms: null, wantedMode: null};
+const UNTOLD = {
+  control: 'none', robot: null, rate_hz: null, latency_ms: null, wantedMode: null, can_video: true,
+};
 
 const place = $('picture');
 const state = {
@@ -32,8 +36,8 @@ const state = {
   pictureAt: null, stabilized: true, derotated: false, columns: Infinity,
   R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
   raw: false,
-  // Whether the processor draws.
-  slow: false,
+  // Whether the processor draws, and whether the browser decodes video.
+  slow: false, takesVideo: true,
   // Whether the operator has chosen where to look.
   moved: false,
   // The angles on the instruments.
@@ -60,7 +64,9 @@ function draw() {
   const picture = waiting;
   waiting = null;
   if (picture) {
-    state.columns = picture.image.width;
+    const {image: {width, height}} = picture;
+    Object.assign(picture, {width, height});
+    state.columns = width;
     renderer.load(picture.image);
     // Without an orientation the last one has to do.
     Object.assign(state, picture.orientation);
@@ -78,6 +84,7 @@ function draw() {
     if (shown) {
       Object.assign(state, {failure: '', pictureAt: performance.now()});
       place.dataset.stampNs = picture.stamp_ns;
+      linkPanel.figures.drawn(picture);
     }
     connection.send('drawn', {sequence: picture.sequence});
   }
@@ -136,8 +143,8 @@ function takeFallBack(reason) {
 }
 
 function showLink() {
-  $('link').textContent = linkText({encrypted: location.protocol === 'https:',
-                                    secure: isSecureContext, slow: state.slow});
+  const encrypted = location.protocol === 'https:';
+  $('link').textContent = linkText({...state, encrypted, secure: isSecureContext});
 }
 
 // Looking.
@@ -164,7 +171,9 @@ function takeState(told) {
   if (told.control === 'taken' && state.control === 'yours') {
     showNotice('Another operator has taken control.', false);
   }
+  const isNews = told.can_video !== state.can_video;
   Object.assign(state, told);
+  if (isNews) showLink();
   if (taken && state.moved) sendLook();
   showState(state);
 }
@@ -231,9 +240,13 @@ const keyActions = {
 
 // Start.
 
+// The address chooses by ?video=jpeg.
+state.takesVideo = new URLSearchParams(location.search).get('video') !== 'jpeg'
+  && await canDecodeVideo();
 const tape = new HeadingTape($('tape'));
 const dial = new AttitudeDial($('attitude'));
 const look = new Look(place, looked, id => actions[id]());
+const linkPanel = new LinkPanel($('link-panel'), sent_ms => connection?.send('echo', {sent_ms}));
 let connection;
 try {
   renderer = new Renderer(place, takeFallBack);
@@ -244,12 +257,18 @@ try {
     picture: takePicture,
     state: takeState,
     notice: takeNotice,
-    open: () => Object.assign(state, {connectedAt: performance.now(), reason: ''}),
+    echo: told => linkPanel.figures.echoed(told),
+    received: bytes => linkPanel.figures.received(bytes),
+    withoutVideo: () => showLink(Object.assign(state, {takesVideo: false})),
+    open: () => {
+      Object.assign(state, {connectedAt: performance.now(), reason: ''});
+      linkPanel.figures.reset();
+    },
     closed: reason => {
       Object.assign(state, UNTOLD, {connectedAt: null, pictureAt: null, reason});
       showState(state);
     },
-  });
+  }, state.takesVideo);
   setInterval(() => showSituation(state), SITUATION_PERIOD_MS);
 } catch (error) {
   state.failure = error.message;

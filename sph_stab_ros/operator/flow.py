@@ -1,0 +1,150 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+What waits for one browser, and what is on its way to it: files of images, or a video.
+
+Nothing queues up: a slow browser gets fewer pictures, so that it delays neither others nor itself.
+"""
+
+from collections.abc import Callable
+from math import inf
+from time import monotonic
+from typing import Protocol
+
+from sph_stab_ros.operator.pairing import Picture
+from sph_stab_ros.operator.rate_control import RateControl
+
+# One picture is decoded and drawn while the next one is on its way.
+MAX_UNDRAWN = 2
+# Of a video more are: longer than the quickest take, by so much, and not more than so many.
+MAX_QUEUE_S = 0.25
+MAX_VIDEO_UNDRAWN = 60
+# Before the first is acknowledged.
+UNKNOWN_DELAY_S = 0.5
+# Key pictures take from what all browsers of an encoder see.
+KEY_PERIOD_S = 1.0
+
+Numbered = tuple[int, Picture]
+
+
+class Flow(Protocol):
+    """The pictures of one browser, each with its sequence number."""
+
+    def offer(self, sequence: int, picture: Picture) -> None:
+        """Take in a picture."""
+
+    def next_picture(self) -> Numbered | None:
+        """Return what is to be sent now."""
+
+    def acknowledge(self, sequence: int) -> Picture | None:
+        """Note that a picture, and those before it, are drawn or will not be; return it."""
+
+
+class StillFlow:
+    """Files of images: the newest is sent as soon as MAX_UNDRAWN are no longer on their way."""
+
+    def __init__(self, wake: Callable[[], object]) -> None:
+        self._wake = wake
+        self._waiting: Numbered | None = None
+        self._undrawn: dict[int, Picture] = {}
+
+    def offer(self, sequence: int, picture: Picture) -> None:
+        """Replace the picture that waits to be sent."""
+        self._waiting = sequence, picture
+        self._wake()
+
+    def next_picture(self) -> Numbered | None:
+        """Return what is to be sent now."""
+        if self._waiting is None or len(self._undrawn) >= MAX_UNDRAWN:
+            return None
+        numbered, self._waiting = self._waiting, None
+        self._undrawn.update([numbered])
+        return numbered
+
+    def acknowledge(self, sequence: int) -> Picture | None:
+        """Note that a picture, and those before it, are drawn or will not be; return it."""
+        picture = self._undrawn.get(sequence)
+        self._undrawn = {later: one for later, one in self._undrawn.items() if later > sequence}
+        self._wake()
+        return picture
+
+
+class VideoFlow:
+    """
+    A video: of its pictures each needs those before it, back to a key picture.
+
+    Who misses one, or says so, gets a key picture next. ``rate`` is what the browser can take.
+
+    Parameters
+    ----------
+    wake
+        Called when there is something to send.
+
+    """
+
+    def __init__(self, wake: Callable[[], object],
+                 clock: Callable[[], float] = monotonic) -> None:
+        self._wake, self._clock = wake, clock
+        self.rate = RateControl(clock)
+        # Whether it has all that the next picture needs.
+        self._in_step = False
+        self._key_s = -inf
+        self._waiting: Numbered | None = None
+        # When each was sent.
+        self._undrawn: dict[int, tuple[float, Picture]] = {}
+
+    @property
+    def is_ready(self) -> bool:
+        """Tell whether it can take one more: few enough are on their way."""
+        if self._waiting:
+            return False
+        if not self._undrawn:
+            return True
+        oldest_s = self._clock() - next(iter(self._undrawn.values()))[0]
+        most_s = UNKNOWN_DELAY_S if self.rate.base_s is None else self.rate.base_s + MAX_QUEUE_S
+        return oldest_s < most_s and len(self._undrawn) < MAX_VIDEO_UNDRAWN
+
+    @property
+    def needs_key(self) -> bool:
+        """Tell whether the next picture has to be a key picture."""
+        return (not self._in_step and self.is_ready
+                and self._clock() >= self._key_s + KEY_PERIOD_S)
+
+    def lose_step(self) -> None:
+        """Note that a picture is missing."""
+        self._in_step = False
+
+    def offer(self, sequence: int, picture: Picture) -> None:
+        """Take in an encoded picture, or miss it."""
+        if not self.is_ready:
+            self._in_step = False
+            self.rate.stalled()
+        elif picture.chunk == 'key':
+            self._in_step = True
+            self._key_s = self._clock()
+        if self._in_step:
+            self._waiting = sequence, picture
+            self._wake()
+
+    def next_picture(self) -> Numbered | None:
+        """Return what is to be sent now."""
+        numbered, self._waiting = self._waiting, None
+        if numbered:
+            sequence, picture = numbered
+            self._undrawn[sequence] = self._clock(), picture
+        return numbered
+
+    def acknowledge(self, sequence: int) -> Picture | None:
+        """Note that a picture, and those before it, are drawn or will not be; return it."""
+        _, picture = self._undrawn.get(sequence, (0., None))
+        now_s = self._clock()
+        while self._undrawn and (first := next(iter(self._undrawn))) <= sequence:
+            sent_s, sent = self._undrawn.pop(first)
+            self.rate.acknowledged(len(sent.data), now_s - sent_s)
+        return picture

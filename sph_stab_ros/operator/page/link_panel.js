@@ -1,0 +1,35 @@
+// Copyright 2026 The sph_stab_ros developers
+// SPDX-License-Identifier: Apache-2.0
+
+// What unfolds below the figures: how good the link is.
+
+import {LinkFigures} from './link_figures.js';
+
+const PERIOD_MS = 500;
+const TEXTS = {
+  what: what => what,
+  mbit_s: rate => `${rate.toFixed(1)} Mbit/s`,
+  drawn: rate => `${Math.round(rate)} /s`,
+  dropped: rate => `${Math.round(rate)} /s`,
+  latency_ms: ms => `${Math.round(ms)} ms`,
+  round_trip_ms: ms => `${Math.round(ms)} ms`,
+};
+
+export class LinkPanel {
+  // box: the <details>. echo(sent_ms): asks the server for an answer to ``figures.echoed``.
+  constructor(box, echo) {
+    this.figures = new LinkFigures();
+    setInterval(() => {
+      echo(this.figures.now());
+      this.#show(box);
+    }, PERIOD_MS);
+  }
+
+  #show(box) {
+    const figures = this.figures.figures();
+    for (const [name, text] of Object.entries(TEXTS)) {
+      const value = figures[name];
+      box.querySelector(`[data-figure=${name}]`).textContent = value === null ? '–' : text(value);
+    }
+  }
+}
