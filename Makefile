@@ -33,7 +33,8 @@ demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot 
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
 # Two processes of tests; those of ROS and the browser all in one of them.
-PYTEST := -m pytest -n 2 --dist loadgroup
+# After a crash nothing waits for what that process was to do.
+PYTEST := -m pytest -n 2 --dist loadgroup --max-worker-restart 0
 FAST := not slow and not thorough and not ros and not browser
 
 test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in two minutes
