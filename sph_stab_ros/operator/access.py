@@ -79,6 +79,8 @@ class ConnectionGuard:
         # When each connection was first seen.
         self._waiting_s: dict[web.RequestHandler, float] = {}
         self._sockets: set[web.RequestHandler] = set()
+        # With encryption they last a while.
+        self._closed: set[web.RequestHandler] = set()
 
     def let_stay(self, request: web.Request) -> None:
         """Let the connection of a request be, which becomes a socket's."""
@@ -88,14 +90,17 @@ class ConnectionGuard:
         """Close the connections of an aiohttp server that are in the way; return how many."""
         now_s = self._clock()
         self._sockets.intersection_update(connections)
-        self._waiting_s = {connection: self._waiting_s.get(connection, now_s)
-                           for connection in connections if connection not in self._sockets}
-        excess = max(0, len(connections) - MAX_CONNECTIONS)
+        self._closed.intersection_update(connections)
+        self._waiting_s = {
+            connection: self._waiting_s.get(connection, now_s) for connection in connections
+            if connection not in self._sockets and connection not in self._closed}
+        excess = max(0, len(connections) - len(self._closed) - MAX_CONNECTIONS)
         oldest_first = sorted(self._waiting_s, key=self._waiting_s.__getitem__)
         closed = [connection for n, connection in enumerate(oldest_first)
                   if n < excess or self._waiting_s[connection] <= now_s - PATIENCE_S]
         for connection in closed:
             connection.force_close()
+        self._closed.update(closed)
         return len(closed)
 
 

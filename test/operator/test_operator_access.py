@@ -16,7 +16,7 @@ import pytest
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from operator_site import BAD, LOOK, next_picture, served, TIMEOUT_S  # noqa: E402, I100
 from sph_stab_ros.operator import access  # noqa: E402
-from sph_stab_ros.operator.access import Access  # noqa: E402
+from sph_stab_ros.operator.access import Access, ConnectionGuard  # noqa: E402
 from sph_stab_ros.operator.client import BURST  # noqa: E402
 from sph_stab_ros.operator.protocol import MAX_MESSAGE_BYTES  # noqa: E402
 
@@ -136,3 +136,21 @@ def no_tracebacks(caplog):
     """Check that nothing that strangers send looks like a fault of our own in the log."""
     yield
     assert not [one for one in caplog.get_records('call') if one.exc_info]
+
+
+def test_a_connection_that_lingers_is_closed_once():
+    """With encryption both ends say goodbye first."""
+    class Connection:
+        closed = 0
+
+        def force_close(self):
+            self.closed += 1
+    now_s = [0.]
+    guard = ConnectionGuard(lambda: now_s[0])
+    crowd = [Connection() for _ in range(access.MAX_CONNECTIONS + 2)]
+    assert [guard.close_idle(crowd) for _ in range(2)] == [2, 0]
+    now_s[0] = access.PATIENCE_S
+    assert [guard.close_idle(crowd[1:]) for _ in range(2)] == [access.MAX_CONNECTIONS, 0]
+    assert {one.closed for one in crowd} == {1}
+    # Those that have come meanwhile have all their time.
+    assert guard.close_idle([Connection(), *crowd]) == 0
