@@ -28,7 +28,7 @@ from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.image_error import ImageError as ImageError
 from sph_stab_ros.images.picture_size import (
-    JPEG as JPEG, PNG as PNG, refuse_too_much, require_memory, START_OF_SCAN)
+    is_whole_png, JPEG as JPEG, PNG as PNG, refuse_too_much, require_memory, START_OF_SCAN)
 from sph_stab_ros.images.raw import image_from_raw
 
 JPEG_QUALITY = 90
@@ -120,7 +120,7 @@ def whole_file(data: bytes, said: str = 'something else') -> tuple[bytes, str]:
             whole = is_whole_scan(data, scan)
             data += END_OF_IMAGE
     elif kind == PNG:
-        whole = b'IEND' in data[-64:]
+        whole = is_whole_png(data)
     else:
         raise ImageError(f'not {JPEG} or {PNG}', f'{len(data)} bytes of {said}')
     if not whole:

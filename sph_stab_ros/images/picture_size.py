@@ -10,6 +10,8 @@
 
 from struct import error, unpack_from
 
+import numpy as np
+
 from sph_stab_ros.images.image_error import ImageError
 
 JPEG, PNG = 'JPEG', 'PNG'
@@ -20,6 +22,10 @@ MOST_PIXELS = 2**27
 DECODING_BYTES_PER_PIXEL = 9
 # Of a progressive file, each of which goes over the whole picture. Ten are usual.
 MOST_SCANS = 200
+PNG_SIGNATURE_BYTES = 8
+# Of a chunk: its length and name before its data, and a checksum behind.
+CHUNK_FRAME_BYTES = 12
+LAST_CHUNK = b'IEND'
 # Start of frame, of all kinds of coding; tables that share their range are none.
 FRAME_HEADERS = {*range(0xc0, 0xd0)} - {0xc4, 0xc8, 0xcc}
 
@@ -34,10 +40,24 @@ def refuse_too_much(data: bytes, kind: str) -> None:
         raise ImageError(f'corrupt {JPEG}', f'more than {MOST_SCANS} scans')
 
 
+def is_whole_png(data: bytes) -> bool:
+    """
+    Tell whether all chunks of a PNG file are there, up to the last one.
+
+    OpenCV takes the memory that a chunk is said to need, up to 2 GB, before it reads it.
+    """
+    at, kind = PNG_SIGNATURE_BYTES, b''
+    while kind != LAST_CHUNK and at + CHUNK_FRAME_BYTES <= len(data):
+        length, kind = unpack_from('>I4s', data, at)
+        at += length + CHUNK_FRAME_BYTES
+    return kind == LAST_CHUNK and at <= len(data)
+
+
 def require_memory(data: bytes, kind: str) -> None:
     """Raise MemoryError where there is too little to decode the picture in a file."""
     width, height = size_of(data, kind)
-    bytearray(width * height * DECODING_BYTES_PER_PIXEL)
+    # Nothing is written to it: that would take the memory.
+    np.empty(width * height * DECODING_BYTES_PER_PIXEL, np.uint8)
 
 
 def size_of(data: bytes, kind: str) -> tuple[int, int]:

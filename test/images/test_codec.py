@@ -102,6 +102,13 @@ def jpeg_with_damaged_header():
     return compressed_message(data)
 
 
+def png_with_a_long_chunk():
+    """Return a PNG whose data are said to take 2 GB, for which OpenCV would take the memory."""
+    data = cv2.imencode('.png', BGR)[1].tobytes()
+    at = data.index(b'IDAT')
+    return compressed_message(data[:at - 4] + b'\x7f\xff\0\0' + data[at:])
+
+
 @pytest.mark.parametrize('message, reason', [
     (broken(encoding='32FC1'), 'unknown encoding'),
     (broken(width=0, step=0), 'zero size'),
@@ -115,6 +122,8 @@ def jpeg_with_damaged_header():
     (cut('.jpg', 0.5), 'truncated JPEG'),
     (cut('.jpg', 0.99), 'truncated JPEG'),
     (cut('.png', 0.5), 'truncated PNG'),
+    (cut('.png', 0.999), 'truncated PNG'),
+    (png_with_a_long_chunk(), 'truncated PNG'),
     (jpeg_with_damaged_header(), 'corrupt JPEG'),
     (compressed_message(b''), 'not JPEG or PNG'),
     (compressed_message(b'RIFF....WEBP'), 'not JPEG or PNG'),
