@@ -59,7 +59,7 @@ def run_once(test, seed, folder, end_s):
             if time.monotonic() > end_s:
                 how = 'end'
                 process.kill()
-            elif any(time.time() - one.stat().st_mtime > HANG_S for one in present(own)):
+            elif any(age_s > HANG_S for age_s in present(own).values()):
                 how = 'hang'
                 process.kill()
     counted = own / 'examples'
@@ -75,15 +75,14 @@ def run_once(test, seed, folder, end_s):
 
 
 def present(folder):
-    """Return the inputs that are being tried; they come and go."""
-    found = []
+    """Return for how many seconds inputs have been tried, by file; they come and go."""
+    ages_s = {}
     for one in folder.glob('*.present'):
         try:
-            one.stat()
+            ages_s[one] = time.time() - one.stat().st_mtime
         except FileNotFoundError:
             continue
-        found.append(one)
-    return found
+    return ages_s
 
 
 def main():
