@@ -54,6 +54,8 @@ def test_each_picture_comes_out_at_once_and_as_it_was():
         assert np.abs(luma.astype(float) - wanted).mean() < 3
 
 
+@pytest.mark.skipif(not hasattr(cv2, 'IMWRITE_JPEG_SAMPLING_FACTOR'),
+                    reason='OpenCV before 4.7 writes JPEG of one sampling only')
 @pytest.mark.parametrize('sampling', [0x111111, 0x211111, 0x221111], ids=['444', '422', '420'])
 def test_colours_are_those_of_the_file(sampling):
     image = np.zeros((64, 128, 3), np.uint8)

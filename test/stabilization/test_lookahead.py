@@ -44,7 +44,7 @@ def wandering(times_s, seed=0, size=0.5):
 
 def assert_same(a, b, within_rad=1e-6):
     """See that orientations are the same."""
-    assert (a.inv() * b).magnitude().max() < within_rad
+    assert np.max((a.inv() * b).magnitude()) < within_rad
 
 
 @pytest.mark.parametrize('seed', range(3))
