@@ -31,6 +31,7 @@ from sph_stab_ros.replay import main
 from sph_stab_ros.simulation.recordings import R_CAMERA_MARKERS, TRUTH_TOPIC
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
+from sph_stab_ros.tracking.offline.grey_spool import GreySpool, SpoolError
 from tiny_recordings import (
     IMAGE_TOPIC, PERIOD_NS, stamps_of, textured_sphere, turning_spheres, write_bag)
 
@@ -442,3 +443,13 @@ def test_an_interrupted_output_is_marked(turning, tmp_path, ending):
     assert 'Traceback' not in error and str(partial.parent) in error
     assert not out.exists()
     assert 0 < open_recording(partial, 'view/image/compressed').frame_count < 1800
+
+
+def test_offline_says_in_one_line_that_its_pictures_have_no_room(
+        turning_bag, tmp_path, capsys, monkeypatch):
+    def full(self, grey):
+        raise SpoolError('no room') from OSError()
+    monkeypatch.setattr(GreySpool, 'add', full)
+    call(turning_bag, '--offline', '--trajectory', tmp_path / 'out.tum', expect=1)
+    assert capsys.readouterr().err.splitlines()[-1] == 'replay: no room'
+    assert not [*tmp_path.iterdir()]

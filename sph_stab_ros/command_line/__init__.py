@@ -21,7 +21,6 @@ from typing import NoReturn
 
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
-from sph_stab_ros.tracking.offline.grey_spool import SpoolError
 
 # StsNoMem, the code of cv2.error.
 OPENCV_NO_MEMORY = -4
@@ -156,7 +155,7 @@ def run(name: str, command: Callable[[], object]) -> int:
     set_up_process()
     try:
         command()
-    except (RecordingError, SpoolError) as error:
+    except RecordingError as error:
         print(f'{name}: {one_line(error)}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:

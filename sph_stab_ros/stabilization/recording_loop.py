@@ -28,6 +28,7 @@ from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.stabilization.recorded_imu import RecordedImu
+from sph_stab_ros.tracking.offline.grey_spool import SpoolError
 
 logger = logging.getLogger(__name__)
 
@@ -101,7 +102,7 @@ def stabilize_recording(
     Raises
     ------
     RecordingError
-        Where not one picture can be used.
+        Where not one picture can be used, or a temporary file that tracking needs has no room.
 
     """
     summary = Summary()
@@ -122,6 +123,8 @@ def stabilize_recording(
                     logger.warning('%s: picture left out, %s (more of these are only counted)',
                                    recording.name, error)
                 continue
+            except SpoolError as error:
+                raise RecordingError(str(error)) from error.__cause__
             summary.add(stabilized)
             for sink in sinks:
                 sink(stabilized)
