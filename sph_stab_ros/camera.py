@@ -19,7 +19,6 @@ The node itself needs none of this: its parameter ``source`` reads the same past
 
 from argparse import Namespace
 from collections.abc import Sequence
-import signal
 import sys
 
 import rclpy
@@ -27,12 +26,11 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as rclpy_binding
 from rclpy.node import Node
 from rclpy.time import Time
-from rclpy.utilities import remove_ros_args
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from sph_stab_ros.command_line import one_line, Parser
-from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import NODE_PARAMETERS
 from sph_stab_ros.images.codec import (
     compressed_fields, fill_image, fill_message, ImageError, JPEG_QUALITY)
@@ -41,11 +39,12 @@ from sph_stab_ros.images.jpeg import jpeg_fields, JpegFile
 from sph_stab_ros.live.address import Address, address_of, SourceError
 from sph_stab_ros.live.source import LivePicture, LiveSource
 from sph_stab_ros.ros.diagnostics import ThrottledLog
+from sph_stab_ros.ros.starting import start_ros
 from sph_stab_ros.ros.topics import advertise, compressed_topic, is_wanted
 from sph_stab_ros.ros.worker import Worker
 from std_msgs.msg import Header
 
-RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
+RCLError = rclpy_binding.RCLError
 LOOK_S = 0.2
 
 
@@ -135,15 +134,10 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['camera', *argv]
-    try:
-        args, address = arguments(remove_ros_args(argv)[1:])
-        # rclpy's handler ends it; a KeyboardInterrupt on top could come at any time.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        set_up_process()
-        rclpy.init(args=argv)
-    except (RCLError, UnknownROSArgsError) as error:
-        print(f'camera: {str(error).splitlines()[0]}', file=sys.stderr)
+    started = start_ros('camera', argv, arguments)
+    if started is None:
         return 2
+    args, address = started
     node: Node | None = None
     camera: Camera | None = None
     try:

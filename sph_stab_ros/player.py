@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from heapq import merge
 from pathlib import Path
-import signal
 import sys
 import time
 from typing import Any, TypeAlias
@@ -32,14 +31,13 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
-from rclpy.utilities import remove_ros_args
 
 from sensor_msgs.msg import CompressedImage, Image
 
 from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
-from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import AUTO, NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_compressed, fill_image
@@ -50,9 +48,10 @@ from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
 from sph_stab_ros.ros import messages as ros_messages
+from sph_stab_ros.ros.starting import start_ros
 from sph_stab_ros.ros.topics import TRANSPORTS
 
-RCLError, UnknownROSArgsError = rclpy_binding.RCLError, rclpy_binding.UnknownROSArgsError
+RCLError = rclpy_binding.RCLError
 # Reliable, as subscribers of either kind can receive that.
 QOS = QoSProfile(depth=10)
 # The frame of videos, which name none.
@@ -249,15 +248,10 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['player', *argv]
-    try:
-        args, settings = arguments(remove_ros_args(argv)[1:])
-        # rclpy's handler ends it; a KeyboardInterrupt on top could come at any time.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        set_up_process()
-        rclpy.init(args=argv)
-    except (RCLError, UnknownROSArgsError) as error:
-        print(f'player: {str(error).splitlines()[0]}', file=sys.stderr)
+    started = start_ros('player', argv, arguments)
+    if started is None:
         return 2
+    args, settings = started
     node: Node | None = None
     try:
         recording = open_recording(args.recording, args.image_topic)

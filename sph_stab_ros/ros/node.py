@@ -33,7 +33,6 @@ take it over before the next image.
 from collections.abc import Callable
 from functools import partial
 import os
-import signal
 import sys
 from time import monotonic
 from typing import Any
@@ -50,10 +49,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import uninstall_signal_handlers
-from rclpy.utilities import remove_ros_args
 from sph_stab_ros.command_line import one_line, Parser
-from sph_stab_ros.command_line.process_setup import (
-    bounded_ending, give_back_freed_memory, set_up_process)
+from sph_stab_ros.command_line.process_setup import bounded_ending, give_back_freed_memory
 from sph_stab_ros.config import ConfigError, IMU
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import MaskError
@@ -67,6 +64,7 @@ from sph_stab_ros.ros.imu_input import ImuInput
 from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.publishers import Outputs
 from sph_stab_ros.ros.source_input import SourceInput
+from sph_stab_ros.ros.starting import start_ros
 from sph_stab_ros.ros.topics import advertise
 from sph_stab_ros.ros.worker import Worker
 from sph_stab_ros.stabilization.level import LevelError
@@ -255,15 +253,7 @@ def run(args: list[str] | None = None) -> int:
         'stabilizer', description="Takes the rotation out of a spherical camera's video.",
         usage='%(prog)s [-h] [--ros-args [-r FROM:=TO] [-p NAME:=VALUE] [--params-file FILE]]',
         epilog='config/stabilizer.yaml describes all parameters, as does ros2 param describe.')
-    try:
-        parser.parse_args(remove_ros_args(args)[1:])
-        # rclpy's handler ends it; another one on top could come at any time, the second one while
-        # the node is destroyed.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        set_up_process()
-        rclpy.init(args=args)
-    except RuntimeError as error:
-        print(f'stabilizer: cannot start: {one_line(error)}', file=sys.stderr)
+    if start_ros('stabilizer', args, parser.parse_args) is None:
         return 2
     # Two workers share the interpreter: each call that gives it away would wait 5 ms for another.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
