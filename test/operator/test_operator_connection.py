@@ -12,29 +12,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
-from operator_harness import chromium, Page, wait_until  # noqa: E402, I100
+from operator_harness import wait_until  # noqa: E402, I100
 from operator_served import Served, Way  # noqa: E402
-
-
-@pytest.fixture(scope='module')
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture
-def opened(browser):
-    """Return what opens a page, which is to have no errors."""
-    pages = []
-
-    def open_page(*arguments, **options):
-        pages.append(Page(browser, *arguments, **options))
-        return pages[-1]
-
-    yield open_page
-    for page in pages:
-        page.context.close()
-        assert not page.errors
 
 
 def test_a_connection_that_falls_silent_is_given_up(opened):

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from graphics_cards import BLIND, NO_CARD, NO_MEMORY, SMALL_CARD  # noqa: E402, I100
-from operator_harness import chromium, Page, wait_until, world_with_disc  # noqa: E402
+from operator_harness import Page, wait_until, world_with_disc  # noqa: E402
 from operator_site import IDENTITY, site  # noqa: E402
 from sph_stab_ros.operator.pairing import Orientation, Picture  # noqa: E402
 
@@ -63,12 +63,6 @@ def camera():
         yield camera
     finally:
         camera.end()
-
-
-@pytest.fixture(scope='module')
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture

@@ -13,18 +13,12 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
-from operator_harness import chromium, Page, wait_until  # noqa: E402, I100
+from operator_harness import Page, wait_until  # noqa: E402, I100
 from operator_served import Served, State  # noqa: E402
 
 SCREENS = (360, 640), (640, 360), (740, 360), (600, 960), (820, 1180), (1366, 768), (3840, 2160)
 # A small phone on its side, and a laptop at 400 %: these scroll.
 TINY = (568, 320), (320, 256)
-
-
-@pytest.fixture(scope='module')
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope='module')

@@ -21,13 +21,7 @@ from synthetic import random_rotation
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from operator_harness import (  # noqa: E402, I100
-    chromium, find_chromium, Page, Robot, TOKEN, wait_until, yaw_deg)
-
-
-@pytest.fixture(scope='module')
-def browser():
-    with chromium() as browser:
-        yield browser
+    find_chromium, Page, Robot, TOKEN, wait_until, yaw_deg)
 
 
 @pytest.fixture(scope='module')

@@ -21,7 +21,7 @@ from sph_stab_ros.geometry.warp import rotate_equirect, view_rotation
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 pytest.importorskip('av', reason='PyAV is not installed')
-from operator_harness import chromium, Page, wait_until  # noqa: E402, I100
+from operator_harness import wait_until  # noqa: E402, I100
 from operator_served import Served  # noqa: E402
 from operator_site import IDENTITY  # noqa: E402
 from sph_stab_ros.operator import rate_control  # noqa: E402
@@ -61,27 +61,6 @@ class Filmed(Served):
             self.number += 1
         return Picture(self.number, self.files[self.number % len(self.files)], now_s,
                        Orientation(tuple(turned(self.number).as_quat().tolist()), IDENTITY))
-
-
-@pytest.fixture(scope='module')
-def browser():
-    with chromium() as browser:
-        yield browser
-
-
-@pytest.fixture
-def opened(browser):
-    """Return what opens a page, which is to have no errors."""
-    pages = []
-
-    def open_page(*arguments, **options):
-        pages.append(Page(browser, *arguments, **options))
-        return pages[-1]
-
-    yield open_page
-    for page in pages:
-        page.context.close()
-        assert not page.errors
 
 
 def turned(number):
