@@ -190,6 +190,7 @@ async def serve(args: Namespace) -> None:
 
 def video(warn: Callable[[str, str], object]) -> 'Video | None':
     """Return what encodes, or None where it cannot be, with a line in the log."""
+    from sph_stab_ros.images.video.decoder import INSTALL
     try:
         from sph_stab_ros.operator.h264 import can_encode
         from sph_stab_ros.operator.video import Video
@@ -198,8 +199,7 @@ def video(warn: Callable[[str, str], object]) -> 'Video | None':
     except ImportError as error:
         if error.name != 'av':
             raise
-    LOG.info('pictures go out as JPEG: video needs PyAV with libx264: '
-             "pip install 'sph_stab_ros[video]'")
+    LOG.info('pictures go out as JPEG: video %s, with libx264', INSTALL)
     return None
 
 

@@ -8,11 +8,12 @@
 
 """PyAV, which reads and writes videos, or what to do where there is none."""
 
+from sph_stab_ros.images.video.decoder import INSTALL
 from sph_stab_ros.recording.base import RecordingError
 
 try:
     import av
 except ImportError:
-    raise RecordingError("video files need PyAV: pip install 'sph_stab_ros[video]'") from None
+    raise RecordingError(f'a video {INSTALL}') from None
 
 __all__ = ['av']
