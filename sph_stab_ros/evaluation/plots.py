@@ -14,6 +14,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 import numpy as np
 
 from sph_stab_ros.evaluation.runs import Errors
@@ -100,6 +101,9 @@ def _logarithmic(panel: Axes) -> None:
     panel.set_yscale('log')
     panel.set_ylim(bottom=MIN_ERROR_DEG)
     panel.yaxis.set_major_formatter('{x:g}')
+    # Where there is but one power of ten the axis would have one number, or powers beside it.
+    panel.yaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+    panel.yaxis.set_minor_formatter('{x:g}')
 
 
 def _style(number: int) -> dict[str, Any]:
