@@ -20,9 +20,7 @@ export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
 .PHONY: evaluation-real evaluation-offline evaluation-hard company evaluation-company benchmark
-.PHONY: benchmark-company
-.PHONY: benchmark-ros soak frames bags hard-frames hard constraints
-.PHONY: packages clean
+.PHONY: benchmark-company benchmark-ros soak frames bags hard-frames hard constraints packages clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
