@@ -22,7 +22,7 @@ from synthetic import angle_deg
 from tiny_recordings import stamps_of, turning_spheres
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed')
-from node_harness import DOMAINS, stabilizer  # noqa: E402, I100
+from node_harness import DOMAINS, rotation, stabilizer  # noqa: E402, I100
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import SetParameters  # noqa: E402
 from rclpy.context import Context  # noqa: E402
@@ -32,7 +32,9 @@ from sensor_msgs.msg import CameraInfo  # noqa: E402
 from sph_stab_ros.ros.parameters import declare_parameters  # noqa: E402
 from sph_stab_ros.ros.topics import compressed_topic  # noqa: E402
 
-DEFAULTS = Path(__file__).resolve().parents[2] / 'config' / 'stabilizer.yaml'
+REPOSITORY = Path(__file__).resolve().parents[2]
+DEFAULTS = REPOSITORY / 'config' / 'stabilizer.yaml'
+HELD_STABILIZER = str(REPOSITORY / 'test' / 'support' / 'held_stabilizer.py')
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -80,18 +82,22 @@ def test_changes_take_effect_at_the_next_image(tmp_path):
 
 def test_nobody_waits_until_the_estimator_is_done(tmp_path):
     """Answers come while an image is being worked on; of what is asked the next image is told."""
-    images, _ = turning_spheres(4, 1024)
-    slow = '-p', 'estimator:=pts_epipolar', '-p', 'working_width:=1024'
-    with stabilizer(tmp_path, *slow) as peer:
+    images, _ = turning_spheres(4)
+    first_ns, second_ns, third_ns = stamps_of(3)
+    program = HELD_STABILIZER, str(tmp_path)
+    with stabilizer(tmp_path, '-p', 'estimator:=moment', program=program) as peer:
         answers = peer.received['orientation']
-        first_ns, second_ns, third_ns = stamps_of(3)
         peer.stabilize(images[0], first_ns)
+        (tmp_path / 'hold').touch()
         peer.send(images[1], second_ns)
-        peer.spin_for(0.05)
+        peer.wait_until((tmp_path / 'held').exists)
         assert peer.set_parameters(estimator='pts', working_width=256) == ['', '']
         assert peer.reset().success
         assert len(answers) == 1
+
+        (tmp_path / 'hold').unlink()
         peer.wait_until(lambda: len(answers) == 2)
+        assert rotation(answers[1]).magnitude() > 0
         assert peer.stabilize(images[3], third_ns).magnitude() == 0
 
 

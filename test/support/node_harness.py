@@ -38,6 +38,7 @@ from sph_stab_ros.images.codec import fill_compressed, fill_image
 from std_srvs.srv import Trigger
 from tiny_recordings import textured_sphere
 
+NODE = '-m', 'sph_stab_ros.stabilizer'
 # By the ends of topics.
 TYPES = {
     'orientation': QuaternionStamped,
@@ -293,11 +294,11 @@ def leave(node, executor):
 
 @contextmanager
 def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, namespace='',
-               views=('view',), domain=None, camera=True, reliable=True):
+               views=('view',), domain=None, camera=True, reliable=True, program=NODE):
     """
     Run the node with ROS arguments; give a Peer, with a camera, and leave neither behind.
 
-    Unless ``reliable`` is False, no image is lost on the way.
+    Unless ``reliable`` is False, no image is lost on the way. ``program`` runs the node.
     """
     domain = domain or next(DOMAINS)
     if compressed:
@@ -310,7 +311,7 @@ def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, 
         arguments += ('-r', f'__ns:=/{namespace}')
     with open(log, 'w') as log_file:
         process = subprocess.Popen(
-            [sys.executable, '-m', 'sph_stab_ros.stabilizer', '--ros-args', *arguments],
+            [sys.executable, *program, '--ros-args', *arguments],
             env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, stdout=log_file, stderr=log_file)
     peer = None
     try:
