@@ -72,6 +72,8 @@ setup(
             # Drives the browser that is there; none of its own.
             'playwright>=1.60,<2',
             'pytest-cov>=7.1,<8',
+            # CI tries what fails once more.
+            'pytest-rerunfailures>=16.1,<17',
             # Runs what only computes beside what waits for processes: half the time on two cores.
             'pytest-xdist>=3.6.1,<4',
             # Jazzy's linters with the flake8 and plugins of its platform, for the same rules.
