@@ -30,13 +30,14 @@ from sph_stab_ros.config import (
 from sph_stab_ros.evaluation import report
 from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
 from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
+from sph_stab_ros.evaluation.errors import Errors
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.evaluation.outputs import (
     draw, make_folder, see_that_figures_can_be_drawn, write_trajectories)
 from sph_stab_ros.evaluation.report import Figures
-from sph_stab_ros.evaluation.runs import (
-    Errors, evaluate_against_truth, evaluate_injected, Progress)
+from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_injected, Progress
 from sph_stab_ros.evaluation.stitched import Stitched
+from sph_stab_ros.evaluation.telemetry_truth import is_of_gyro
 from sph_stab_ros.geometry.masks import load_mask, MaskError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
@@ -91,7 +92,7 @@ def evaluate(args: Namespace, configs: Configs) -> None:
         if args.every:
             for name, estimator_errors in errors.items():
                 figures[name]['over_time'] = estimator_errors.over_time(args.every)
-        for line in report.error_lines(figures):
+        for line in report.error_lines(figures, of_gyro='gyro_bias_deg_s' in about):
             print(line)
         if args.json:
             file.write_text(json.dumps(
@@ -109,16 +110,20 @@ def by_truth(args: Namespace, recording: Recording, configs: Configs,
     levelled = any(config.level == IMU for config in configs.values())
     imu_topic = find_imu_topic(recording, args.imu_topic) if levelled else None
     truth = read_truth(recording, topic, args.truth_frames)
+    clock_offset = args.clock_offset
+    if clock_offset is None:
+        # A camera's sensors have clocks of their own.
+        clock_offset = 0 if recording.telemetry is None else AUTO
     alignment, errors, figures = evaluate_against_truth(
-        recording, configs, truth, args.mount, args.clock_offset, args.max_frames, progress,
-        imu_topic, watch, args.offline)
+        recording, configs, truth, args.mount, None if clock_offset == AUTO else clock_offset,
+        args.max_frames, progress, imu_topic, watch, args.offline, is_of_gyro(recording))
     about = {'truth': topic, **report.describe(alignment, args.mount is not None)}
     of_frames = ''
     if args.truth_frames:
         about['truth_frames'] = ':'.join(args.truth_frames)
         of_frames = f', {about["truth_frames"]}'
     print(f'{recording.name}: {len(truth)} true orientations in {topic}{of_frames}')
-    for line in report.alignment_lines(about, args.clock_offset is None):
+    for line in report.alignment_lines(about, clock_offset == AUTO):
         print(line)
     warn(recording.name, alignment)
     return about, errors, figures
@@ -168,8 +173,9 @@ def command_line() -> Parser:
                         help=f'of {ANCHORED} the orientations of replay --offline, too')
     parser.add_argument('--truth', metavar='TOPIC',
                         help='PoseStamped, PoseWithCovarianceStamped, QuaternionStamped, '
-                        'TransformStamped, Odometry, Imu, Path or TFMessage (default: the one '
-                        'there is)')
+                        'TransformStamped, Odometry, Imu, Path or TFMessage, or "telemetry": '
+                        "what the camera's own sensors measured, in the metadata of a video "
+                        '(default: the one there is)')
     parser.add_argument('--truth-frames', metavar='PARENT:CHILD', type=frames_argument,
                         help='of a TFMessage topic, whose orientation in which frame is truth: '
                         'the body in the world')
@@ -177,8 +183,9 @@ def command_line() -> Parser:
                         help="where the camera looks on the truth's body, in degrees to the left, "
                         'up, clockwise, or as a quaternion x,y,z,w of the optical frame; '
                         '--mount=-30,0,0 with = before a minus (default: solved for)')
-    parser.add_argument('--clock-offset', metavar='auto|SECONDS', type=clock_argument, default=0,
-                        help="the truth's stamps minus the images' (default: 0)")
+    parser.add_argument('--clock-offset', metavar='auto|SECONDS', type=clock_argument,
+                        help="the truth's stamps minus the images' (default: 0, of telemetry "
+                        'auto)')
     parser.add_argument('--inject', metavar='SEED', type=int,
                         help='need no truth: turn the footage by known rotations')
     parser.add_argument('--body', metavar='MASK',
@@ -214,7 +221,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     if args.json and args.json.is_dir():
         parser.error(f"--json needs a file, '{args.json}' is a folder")
     if args.inject is not None:
-        if (args.truth or args.truth_frames or args.mount is not None or args.clock_offset != 0
+        if (args.truth or args.truth_frames or args.mount is not None
+                or args.clock_offset is not None
                 or args.tum):
             parser.error('--inject needs no --truth, --mount, --clock-offset or --tum')
         if args.inject < 0:

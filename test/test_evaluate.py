@@ -28,7 +28,8 @@ WIDTH = 256
 MOUNT = Rotation.from_euler('ZYX', (20., -35., 100.), degrees=True)
 KEYS = {
     'mean_abs_error_deg': {'roll', 'pitch', 'yaw'}, 'geodesic_deg': {'mean', 'max', 'end'},
-    'per_frame_deg': {'median', 'p95', 'max'}, 'ms_per_frame': None, 'frames': None,
+    'per_frame_deg': {'median', 'p95', 'max'}, 'per_second_deg': {'median', 'p95', 'max'},
+    'ms_per_frame': None, 'frames': None,
     'lost_frames': None, 'frames_not_evaluated': None, 'drift_deg_per_min': None}
 
 
@@ -238,6 +239,7 @@ class FakeRecording:
     """A recording whose messages are given."""
 
     name = 'fake'
+    telemetry = None
 
     def __init__(self, **topics):
         self.topics = {f'/{name}': msgtype for name, (msgtype, _) in topics.items()}

@@ -86,6 +86,7 @@ class MemoryRecording:
         self.topics = {'image': f'sensor_msgs/msg/{scenario.image_type.__name__}'}
         self.frame_count: int | None = scenario.sent_frames
         self.skipped: Counter[str] = Counter()
+        self.telemetry = None
         fill = fill_compressed if scenario.compressed else fill_image
         size = scenario.width, scenario.width // 2
         frames = decoded_frames(open_recording(scenario.recording))

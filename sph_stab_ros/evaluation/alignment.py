@@ -25,7 +25,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import correlate, correlation_lags
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vectors
+from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vector, Vectors
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.trajectory import Trajectory
 
@@ -64,7 +64,8 @@ class Alignment:
 
     ``mount_solved`` tells whether ``R_body_camera`` comes from the data; ``clock_offset_ns`` is
     the truth's stamp minus the camera's of the same moment. Over SPAN_S the truth turns by
-    ``turn_rad`` on average, the estimate differs from that by ``residual_rad``.
+    ``turn_rad`` on average, the estimate differs from that by ``residual_rad``. Of a gyro's truth
+    ``gyro_bias_rad_s`` (3,) on the body has been taken out.
     """
 
     R_body_camera: Rotation
@@ -72,6 +73,7 @@ class Alignment:
     mount_solved: bool = False
     turn_rad: float = 0.0
     residual_rad: float = 0.0
+    gyro_bias_rad_s: Vector | None = None
 
 
 def align_trajectories(
@@ -90,7 +92,7 @@ def align_trajectories(
             truth, estimate, _coarse_clock_offset(truth, estimate))
     stamps_ns = estimate.stamps_ns + clock_offset_ns
     check_overlap(truth, stamps_ns)
-    body_turns, camera_turns = _turns(truth, estimate, clock_offset_ns, SPAN_S)
+    body_turns, camera_turns, _ = turns(truth, estimate, clock_offset_ns, SPAN_S)
     mount_solved = R_body_camera is None and spans_two_axes(body_turns)
     if R_body_camera is None:
         R_body_camera = fit_mount(body_turns, camera_turns) if mount_solved else R_BODY_CAMERA
@@ -149,20 +151,20 @@ def check_overlap(truth: Trajectory, stamps_ns: Stamps) -> None:
                           f'{MIN_FRAMES} are needed')
 
 
-def _turns(truth: Trajectory, estimate: Trajectory, clock_offset_ns: int,
-           span_s: float) -> tuple[Vectors, Vectors]:
+def turns(truth: Trajectory, estimate: Trajectory, clock_offset_ns: int,
+          span_s: float) -> tuple[Vectors, Vectors, float]:
     """
-    Return the turns of body and camera, each (N, 3) as rotation vectors.
+    Return the turns of body and camera, each (N, 3) as rotation vectors, and over which time.
 
-    They reach over ``span_s`` or, if that is shorter, from one frame to the next.
+    That is ``span_s`` or, if that is shorter, from one frame to the next.
     """
     stamps_ns = estimate.stamps_ns + clock_offset_ns
     known = has_truth(truth, stamps_ns)
-    span = round(span_s * NS_PER_S / np.median(np.diff(estimate.stamps_ns)))
-    span = max(min(span, np.count_nonzero(known) // 2), 1)
+    period_s = float(np.median(np.diff(estimate.stamps_ns))) / NS_PER_S
+    span = max(min(round(span_s / period_s), int(np.count_nonzero(known)) // 2), 1)
     body, camera = ((R[:-span].inv() * R[span:]).as_rotvec()
                     for R in (truth.at(stamps_ns[known]), estimate.rotations[known]))
-    return body, camera
+    return body, camera, span * period_s
 
 
 def _misfit(body_turns: Vectors, camera_turns: Vectors, R_body_camera: Rotation) -> float:
@@ -208,9 +210,9 @@ def _refined_clock_offset(truth: Trajectory, estimate: Trajectory, coarse_ns: in
         offset_ns = coarse_ns + round(correction_s * NS_PER_S)
         if np.count_nonzero(has_truth(truth, estimate.stamps_ns + offset_ns)) < MIN_FRAMES:
             return np.pi
-        turns = _turns(truth, estimate, offset_ns, 0)
+        body, camera, _ = turns(truth, estimate, offset_ns, 0)
         # The best mount whether or not it is unique: a wrong one must not shift the clock.
-        return _misfit(*turns, fit_mount(*turns))
+        return _misfit(body, camera, fit_mount(body, camera))
 
     reach_s = CLOCK_REACH_S + np.median(np.diff(estimate.stamps_ns)) / NS_PER_S
     step_s = SPEED_STEP_NS / NS_PER_S

@@ -13,6 +13,7 @@ from argparse import ArgumentTypeError
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.config import AUTO
 from sph_stab_ros.evaluation.transforms import Frames, same_frame
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.warp import view_rotation
@@ -31,10 +32,10 @@ def mount_argument(text: str) -> Rotation:
     raise ArgumentTypeError(f"'{text}' is neither yaw,pitch,roll in degrees nor qx,qy,qz,qw")
 
 
-def clock_argument(text: str) -> int | None:
-    """Return nanoseconds from seconds, None from ``auto``."""
+def clock_argument(text: str) -> int | str:
+    """Return nanoseconds from seconds, or AUTO."""
     try:
-        return None if text == 'auto' else round(float(text) * NS_PER_S)
+        return AUTO if text == AUTO else round(float(text) * NS_PER_S)
     except (ValueError, OverflowError):
         raise ArgumentTypeError(f"'{text}' is neither auto nor a number of seconds") from None
 

@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.evaluation.telemetry_truth import telemetry_truth
 from sph_stab_ros.evaluation.transforms import composed, Frames, is_static, Sample, Transforms
 from sph_stab_ros.geometry.arrays import Choice, Floats, Stamps
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.messages import POSE_WITH_COVARIANCE, QUATERNION, TRANSFORMS
+from sph_stab_ros.recording.telemetry import TELEMETRY
 
 logger = logging.getLogger(__name__)
 
@@ -45,8 +47,10 @@ def find_truth_topic(recording: Recording, frames: Frames | None = None) -> str:
     """
     Return the one topic that can be truth; with ``frames``, the one with transforms.
 
-    RecordingError where the choice is not clear.
+    Of a video it is TELEMETRY, where it has some. RecordingError where the choice is not clear.
     """
+    if recording.telemetry is not None and frames is None:
+        return TELEMETRY
     by_type: dict[str, list[str]] = {}
     for topic, msgtype in usable_topics(recording).items():
         by_type.setdefault(msgtype, []).append(topic)
@@ -88,6 +92,8 @@ def read_truth(recording: Recording, topic: str, frames: Frames | None = None) -
     sorted, of equal stamps the first is kept, quaternions are normalised; each is said in the log.
     RecordingError where nothing is left, or the topic is of another kind.
     """
+    if topic == TELEMETRY and recording.telemetry is not None and frames is None:
+        return telemetry_truth(recording.name, recording.telemetry)
     if topic not in recording.topics:
         raise RecordingError(f'{recording.name} has no topic {topic}; {would_do(recording)}')
     if topic not in usable_topics(recording):

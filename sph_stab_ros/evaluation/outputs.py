@@ -13,7 +13,7 @@ import importlib
 import logging
 from pathlib import Path
 
-from sph_stab_ros.evaluation.runs import Errors
+from sph_stab_ros.evaluation.errors import Errors
 from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output

@@ -11,6 +11,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from sph_stab_ros.command_line.columns import in_columns
 from sph_stab_ros.evaluation.alignment import Alignment
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
@@ -19,13 +21,17 @@ from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
 Figures: TypeAlias = dict[str, Any]
 
 
-def error_lines(figures: Mapping[str, Figures]) -> Iterator[str]:
-    """Yield lines of figures by estimator, a table, and another one over time where it is told."""
+def error_lines(figures: Mapping[str, Figures], of_gyro: bool = False) -> Iterator[str]:
+    """
+    Yield lines of figures by estimator, a table, and another one over time where it is told.
+
+    Where the truth is ``of_gyro`` only what it can tell is in the table.
+    """
     left_out = max(one['frames_not_evaluated'] for one in figures.values())
     if left_out:
         yield (f'{left_out} frames are not evaluated: before, after or in a gap of the truth, or '
                'with a stamp that goes back')
-    yield from _table(figures)
+    yield from (_table_of_turns if of_gyro else _table)(figures)
     if all('over_time' in one for one in figures.values()):
         yield from _table_over_time(figures)
 
@@ -50,6 +56,19 @@ def _table(figures: Mapping[str, Figures]) -> Iterator[str]:
     yield from in_columns(rows)
 
 
+def _table_of_turns(figures: Mapping[str, Figures]) -> Iterator[str]:
+    rows: list[tuple[str, ...]] = [
+            ('estimator', 'frame: median', 'p95', 'max', 'second: median', 'p95', 'max', 'time',
+             'frames', 'lost'),
+            ('', *6 * ('deg',), 'ms', '', '')]
+    for name, one in figures.items():
+        degrees = (one[group][key] for group in ('per_frame_deg', 'per_second_deg')
+                   for key in ('median', 'p95', 'max'))
+        rows.append((name, *(f'{value:.3f}' for value in degrees), f'{one["ms_per_frame"]:.1f}',
+                     f'{one["frames"]}', f'{one["lost_frames"]}'))
+    yield from in_columns(rows)
+
+
 def _table_over_time(figures: Mapping[str, Figures]) -> Iterator[str]:
     times_s = next(iter(figures.values()))['over_time']['time_s']
     yield 'geodesic [deg] after'
@@ -69,7 +88,8 @@ def describe(alignment: Alignment, mount_given: bool) -> Figures:
                       'solved' if alignment.mount_solved else 'assumed',
             'yaw_deg': -yaw, 'pitch_deg': pitch, 'roll_deg': roll},
         'clock_offset_s': alignment.clock_offset_ns / NS_PER_S,
-    }
+    } | ({} if alignment.gyro_bias_rad_s is None else {
+        'gyro_bias_deg_s': np.rad2deg(alignment.gyro_bias_rad_s).tolist()})
 
 
 def alignment_lines(about: Figures, clock_solved: bool) -> Iterator[str]:
@@ -83,6 +103,11 @@ def alignment_lines(about: Figures, clock_solved: bool) -> Iterator[str]:
                f'deg to the left, {mount["pitch_deg"]:.2f} up, rolled by {mount["roll_deg"]:.2f}')
     how = 'found' if clock_solved else 'given'
     yield f'clock offset, {how}: {about["clock_offset_s"]:+.4f} s (stamps of truth minus images)'
+    if 'gyro_bias_deg_s' in about:
+        x, y, z = about['gyro_bias_deg_s']
+        yield (f'the truth is a gyro, less a bias of {x:+.3f}, {y:+.3f}, {z:+.3f} deg/s about the '
+               "body's axes that the estimate tells; what is left drifts, so errors are told over "
+               'a frame and a second')
 
 
 def injection_line(about: Figures, figures: Mapping[str, Figures]) -> str:

@@ -6,16 +6,9 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""
-Run estimators over a recording and compare their orientations with ground truth.
-
-All errors are of orientations relative to the first frame evaluated. Roll, pitch and yaw are those
-of the camera's own REP 103 body (x forward along the image centre, y left, z up), not of the
-truth's, whose axes point anywhere on a motion-capture rigid body.
-"""
+"""Run estimators over a recording and compare their orientations with ground truth."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, TypeAlias
 
@@ -24,12 +17,11 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import StabilizerConfig
-from sph_stab_ros.evaluation.alignment import (
-    align_trajectories, Alignment, check_overlap, EvaluationError, has_truth)
+from sph_stab_ros.evaluation.alignment import align_trajectories, Alignment, EvaluationError
+from sph_stab_ros.evaluation.errors import compare, Errors
 from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabilizer
 from sph_stab_ros.evaluation.report import Figures
-from sph_stab_ros.geometry.arrays import Choice, Stamps, Values, Vectors
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA, R_CAMERA_BODY
+from sph_stab_ros.evaluation.telemetry_truth import align_gyro, without_bias
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
@@ -43,107 +35,6 @@ from sph_stab_ros.tracking.offline import TwoPasses
 
 # Passes on the frames that the estimator of a name is given, and may tell of it.
 Progress: TypeAlias = Callable[[str, Iterator[Frame]], Iterable[Frame]]
-
-
-@dataclass(frozen=True)
-class Errors:
-    """
-    Errors of N orientations over time, each relative to the first.
-
-    ``truth`` and ``estimate`` are the Trajectories of R_first_camera, with the images' stamps;
-    ``time_s`` (N,) starts at zero; ``truth_rpy_deg`` and ``estimate_rpy_deg`` (N, 3) are roll,
-    pitch and yaw, without jumps; ``geodesic_deg`` (N,) is the angle of the rotation between truth
-    and estimate; ``per_frame_deg`` (≤ N − 1,) that between their turns from one frame to the next;
-    ``drift_deg_per_min`` the constant angular velocity that fits the error best.
-    """
-
-    truth: Trajectory
-    estimate: Trajectory
-    time_s: Values
-    truth_rpy_deg: Vectors
-    estimate_rpy_deg: Vectors
-    geodesic_deg: Values
-    per_frame_deg: Values
-    drift_deg_per_min: float
-
-    @property
-    def absolute_rpy_deg(self) -> Vectors:
-        """Absolute errors (N, 3) of roll, pitch and yaw."""
-        difference = self.estimate_rpy_deg - self.truth_rpy_deg
-        return np.abs((difference + 180) % 360 - 180)
-
-    def summary(self) -> Figures:
-        """Return the figures by name, in degrees, ready for JSON."""
-        roll, pitch, yaw = self.absolute_rpy_deg.mean(axis=0).tolist()
-        return {
-            'frames': len(self.time_s),
-            'mean_abs_error_deg': {'roll': roll, 'pitch': pitch, 'yaw': yaw},
-            'geodesic_deg': {
-                'mean': float(self.geodesic_deg.mean()),
-                'max': float(self.geodesic_deg.max()),
-                'end': float(self.geodesic_deg[-1])},
-            'per_frame_deg': {
-                'median': float(np.median(self.per_frame_deg)),
-                'p95': float(np.percentile(self.per_frame_deg, 95)),
-                'max': float(self.per_frame_deg.max())},
-            'drift_deg_per_min': self.drift_deg_per_min,
-        }
-
-    def over_time(self, period_s: float) -> dict[str, list[float]]:
-        """Return the geodesic error at the frames nearest to each multiple of a period."""
-        # The frame that would close the last period need not be there.
-        end_s = self.time_s[-1] + np.median(np.diff(self.time_s))
-        wanted_s = period_s * np.arange(1, 1 + int(end_s / period_s + 1e-6))
-        after = np.clip(np.searchsorted(self.time_s, wanted_s), 1, len(self.time_s) - 1)
-        before_is_nearer = 2 * wanted_s < self.time_s[after - 1] + self.time_s[after]
-        nearest = after - before_is_nearer
-        return {'time_s': self.time_s[nearest].tolist(),
-                'geodesic_deg': self.geodesic_deg[nearest].tolist()}
-
-
-def compare(truth: Trajectory, estimate: Trajectory, alignment: Alignment) -> Errors:
-    """
-    Return the Errors of the Trajectory ``estimate`` against ``truth`` at the estimate's stamps.
-
-    Frames without truth (outside of it, or in its gaps) are left out; EvaluationError if fewer
-    than MIN_FRAMES remain.
-    """
-    stamps_ns = estimate.stamps_ns + alignment.clock_offset_ns
-    check_overlap(truth, stamps_ns)
-    known = has_truth(truth, stamps_ns)
-    R_mocap_camera = truth.at(stamps_ns[known]) * alignment.R_body_camera
-    consecutive = np.diff(np.flatnonzero(known)) == 1
-    if not consecutive.any():
-        raise EvaluationError('no two consecutive frames have truth')
-    return errors(
-        estimate.stamps_ns[known], R_mocap_camera, estimate.rotations[known], consecutive)
-
-
-def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation,
-           consecutive: Choice | slice = slice(None)) -> Errors:
-    """
-    Return the Errors of N orientations of the camera, true and estimated, in any two worlds.
-
-    ``consecutive`` (N − 1,) bool tells which neighbours are consecutive frames.
-    """
-    time_s = (stamps_ns - stamps_ns[0]) / NS_PER_S
-    truth, estimate = (Trajectory(stamps_ns, R).relative_to_first()
-                       for R in (R_mocap_camera, R_world_camera))
-    true, estimated = (R_BODY_CAMERA * one.rotations * R_CAMERA_BODY for one in (truth, estimate))
-    error = (estimated * true.inv()).as_rotvec(degrees=True)
-    true_turns, estimated_turns = (R[:-1].inv() * R[1:] for R in (true, estimated))
-    per_frame_rad = (true_turns.inv() * estimated_turns).magnitude()[consecutive]
-    return Errors(
-        truth, estimate, time_s, _roll_pitch_yaw_deg(true), _roll_pitch_yaw_deg(estimated),
-        np.linalg.norm(error, axis=1), np.rad2deg(per_frame_rad),
-        # Least squares of error(t) = drift · t, in the world, where a bias of the estimator adds
-        # up.
-        float(np.linalg.norm(time_s @ error) / (time_s @ time_s) * 60))
-
-
-def _roll_pitch_yaw_deg(R_first_body: Rotation) -> Vectors:
-    """Return (N, 3) degrees of ``R = R_z(yaw) R_y(pitch) R_x(roll)``, without jumps of 360°."""
-    return np.unwrap(R_first_body.as_euler('ZYX', degrees=True)[:, ::-1], axis=0, period=360)
 
 
 class Run:
@@ -218,12 +109,14 @@ def evaluate_against_truth(
         R_body_camera: Rotation | None = None, clock_offset_ns: int | None = 0,
         max_frames: int | None = None, progress: Progress = lambda name, frames: frames,
         imu_topic: str | None = None, watch: PictureWatch | None = None,
-        offline: Collection[str] = ()) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
+        offline: Collection[str] = (), of_gyro: bool = False
+        ) -> tuple[Alignment, dict[str, Errors], dict[str, Figures]]:
     """
     Evaluate StabilizerConfigs, by name, against the Trajectory of a recording's truth.
 
     Each is fed the samples of an IMU where ``imu_topic`` names one; ``watch`` sees the pictures.
     Of the names in ``offline`` the orientations are those found with the whole recording known.
+    A truth ``of_gyro`` is rid of its bias.
 
     Mount and clock offset, where they are None, are those that the estimator gives which follows
     the truth best: they belong to the recording, and a bad estimator must neither suffer from nor
@@ -238,16 +131,18 @@ def evaluate_against_truth(
                                 watch=watch)
         runs[name] = offline_run(config, read) if name in offline else Run(config)
         read(runs[name])
+    align = align_gyro if of_gyro else align_trajectories
     found, failures = [], []
     for run in runs.values():
         try:
-            found.append(align_trajectories(
-                truth, run.trajectory(), R_body_camera, clock_offset_ns))
+            found.append(align(truth, run.trajectory(), R_body_camera, clock_offset_ns))
         except EvaluationError as error:
             failures.append(error)
     if not found:
         raise failures[0]
     alignment = min(found, key=lambda one: one.residual_rad)
+    if alignment.gyro_bias_rad_s is not None:
+        truth = without_bias(truth, alignment.gyro_bias_rad_s)
     errors = {name: compare(truth, run.trajectory(), alignment) for name, run in runs.items()}
     return alignment, errors, {name: run.summary(errors[name]) for name, run in runs.items()}
 

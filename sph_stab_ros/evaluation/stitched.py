@@ -30,6 +30,7 @@ from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.recording.base import Recording, SkipLog
+from sph_stab_ros.recording.telemetry import Telemetry
 
 logger = logging.getLogger(__name__)
 
@@ -64,6 +65,11 @@ class Stitched:
     def skipped(self) -> Counter[str]:
         """Count the pictures left out so far, by reason."""
         return Counter(self._recording.skipped) + self._skip_log.counts
+
+    @property
+    def telemetry(self) -> Telemetry | None:
+        """Return what the camera measured itself."""
+        return self._recording.telemetry
 
     def shows_all(self) -> bool:
         """Tell whether the first picture that can be used shows the whole sphere."""

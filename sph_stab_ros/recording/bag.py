@@ -79,6 +79,10 @@ class BagRecording:
         """Count the pictures left out so far, by reason."""
         return self._skip_log.counts
 
+    @property
+    def telemetry(self) -> None:
+        """Return nothing: what was measured is in messages."""
+
     def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames of the image topic; header stamps, or times of receipt without any."""
         self._skip_log = SkipLog(self.name)

@@ -12,11 +12,14 @@ from collections import Counter
 from collections.abc import Generator, Iterator
 import logging
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TYPE_CHECKING
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
+
+if TYPE_CHECKING:
+    from sph_stab_ros.recording.telemetry import Telemetry
 
 logger = logging.getLogger(__name__)
 
@@ -64,6 +67,10 @@ class Recording(Protocol):
     @property
     def skipped(self) -> Counter[str]:
         """Count the pictures left out by ``frames()`` so far, by reason."""
+
+    @property
+    def telemetry(self) -> 'Telemetry | None':
+        """Return what the camera measured itself; None where a video has none, and of bags."""
 
     def frames(self) -> Generator[Frame, None, None]:
         """

@@ -10,6 +10,7 @@
 
 from collections import Counter
 from collections.abc import Generator, Iterator
+from functools import cached_property
 import logging
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.picture_times import with_times, within
 from sph_stab_ros.recording.pyav import av
 from sph_stab_ros.recording.spherical import boxes_say, layout_of
+from sph_stab_ros.recording.telemetry import read_telemetry, stabilized_by, Telemetry
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 from sph_stab_ros.recording.video_stream import PictureStream, Stamped
 
@@ -65,11 +67,21 @@ class VideoRecording:
                 '%s: its metadata say that the camera removed the tilt already (zenith '
                 'correction): what is found is the rotation that is left in the pictures, not '
                 "the camera's", self.name)
+        if how := stabilized_by(path):
+            logger.warning(
+                '%s: its metadata say that the camera stabilised the pictures itself (%s): what '
+                'is found is the rotation that is left in them, not what its gyro measured',
+                self.name, how)
 
     @property
     def skipped(self) -> Counter[str]:
         """Count the pictures left out so far, by reason."""
         return self._skip_log.counts
+
+    @cached_property
+    def telemetry(self) -> Telemetry | None:
+        """Return what the camera measured itself, if that is in the file's metadata."""
+        return read_telemetry(self.path)
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Raise RecordingError: a video has no topics."""
@@ -152,6 +164,10 @@ class PipedVideo(VideoRecording):
         self._cropped = None
         self._skip_log = SkipLog(self.name)
         self._is_read = False
+
+    @cached_property
+    def telemetry(self) -> None:
+        """Return nothing: a pipe is read once."""
 
     def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames as they are decoded; RecordingError where they have been before."""

@@ -6,13 +6,17 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""An IMU's samples out of a bag, in time for its pictures."""
+"""An IMU's samples out of a bag or a video, in time for its pictures."""
 
-from collections.abc import Iterable, Iterator
-from heapq import heappop, heappush
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from heapq import heappop, heappush, merge
+from itertools import repeat
 import logging
+from operator import itemgetter
 
 from sph_stab_ros.recording import Recording, RecordingError
+from sph_stab_ros.recording.telemetry import TELEMETRY, Telemetry
 from sph_stab_ros.stabilization.imu import imu_sample, ImuError, ImuSample
 
 logger = logging.getLogger(__name__)
@@ -23,8 +27,14 @@ MAX_DISORDER = 100
 
 
 def find_imu_topic(recording: Recording, wanted: str | None = None) -> str:
-    """Return the topic ``wanted``, or the only one of an IMU, or raise RecordingError."""
+    """
+    Return the topic ``wanted``, or the only one of an IMU, or raise RecordingError.
+
+    In a video that is TELEMETRY, where its camera has measured something.
+    """
     topics = sorted(topic for topic, msgtype in recording.topics.items() if msgtype == IMU_TYPE)
+    if recording.telemetry is not None and recording.telemetry.is_of_imu:
+        topics.append(TELEMETRY)
     listed = ', '.join(topics) or 'none'
     if wanted is not None:
         if wanted not in topics:
@@ -33,7 +43,8 @@ def find_imu_topic(recording: Recording, wanted: str | None = None) -> str:
         return wanted
     if not topics:
         raise RecordingError(
-            f'{recording.name} has no IMU to level by: no topic of type {IMU_TYPE}')
+            f'{recording.name} has no IMU to level by: no topic of type {IMU_TYPE} and no '
+            "measurements of the camera's own in the metadata of a video")
     if len(topics) > 1:
         raise RecordingError(f'{recording.name} has several IMUs, choose one with --imu-topic: '
                              f'{listed}')
@@ -64,14 +75,31 @@ class RecordedImu:
 
     def _read(self, recording: Recording) -> Iterator[ImuSample]:
         """Yield the ImuSamples in the order in which they were recorded."""
-        for received_ns, msg in recording.messages(self.topic):
+        samples: Iterator[Callable[[], ImuSample]]
+        if recording.telemetry is not None:
+            samples = _measured(recording.telemetry)
+        else:
+            samples = (partial(imu_sample, msg, received_ns)
+                       for received_ns, msg in recording.messages(self.topic))
+        for sample in samples:
             try:
-                yield imu_sample(msg, received_ns)
+                yield sample()
             except ImuError as error:
                 self.refused += 1
                 if self.refused == 1:
                     logger.warning('%s: sample on %s left out, %s (more of these are only '
                                    'counted)', recording.name, self.topic, error)
+
+
+def _measured(telemetry: Telemetry) -> Iterator[Callable[[], ImuSample]]:
+    """Yield what makes an ImuSample of each measurement, in the order of time."""
+    kinds = ((one, is_force) for one, is_force in (
+        (telemetry.forces_m_s2, True), (telemetry.rates_rad_s, False)) if one is not None)
+    for stamp_ns, is_force, vector in merge(
+            *(zip(one.stamps_ns.tolist(), repeat(is_force), one.vectors)
+              for one, is_force in kinds), key=itemgetter(0)):
+        yield partial(ImuSample, stamp_ns, vector) if is_force else partial(
+            ImuSample, stamp_ns, None, vector)
 
 
 def _sorted_by_stamp(samples: Iterable[ImuSample]) -> Iterator[ImuSample]:

@@ -38,6 +38,7 @@ class Messages:
     """A recording of an IMU's messages, which counts how many of them were read."""
 
     name = 'messages'
+    telemetry = None
 
     def __init__(self, stamps_ns):
         self._stamps_ns = stamps_ns
