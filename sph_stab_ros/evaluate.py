@@ -175,7 +175,7 @@ def command_line() -> Parser:
                         help='PoseStamped, PoseWithCovarianceStamped, QuaternionStamped, '
                         'TransformStamped, Odometry, Imu, Path or TFMessage, or "telemetry": '
                         "what the camera's own sensors measured, in the metadata of a video "
-                        '(default: the one there is)')
+                        '(default: the topic there is)')
     parser.add_argument('--truth-frames', metavar='PARENT:CHILD', type=frames_argument,
                         help='of a TFMessage topic, whose orientation in which frame is truth: '
                         'the body in the world')

@@ -47,10 +47,8 @@ def find_truth_topic(recording: Recording, frames: Frames | None = None) -> str:
     """
     Return the one topic that can be truth; with ``frames``, the one with transforms.
 
-    Of a video it is TELEMETRY, where it has some. RecordingError where the choice is not clear.
+    RecordingError where the choice is not clear, and of videos: a gyro is truth by request only.
     """
-    if recording.telemetry is not None and frames is None:
-        return TELEMETRY
     by_type: dict[str, list[str]] = {}
     for topic, msgtype in usable_topics(recording).items():
         by_type.setdefault(msgtype, []).append(topic)
@@ -80,6 +78,8 @@ def would_do(recording: Recording) -> str:
     """Return a text of what in a Recording can be truth."""
     topics = [f'{topic} (with --truth-frames PARENT:CHILD)' if msgtype == TRANSFORMS else topic
               for topic, msgtype in sorted(usable_topics(recording).items())]
+    if recording.telemetry is not None:
+        topics.append(TELEMETRY)
     return (f'as truth would do: {", ".join(topics)}' if topics
             else '--inject SEED evaluates without truth')
 

@@ -119,11 +119,19 @@ def test_orientations_of_camm_are_truth_as_any_other(frames, tmp_path, capsys):
     video = write_video(tmp_path / 'ride.mp4', pictures, np.round(times_s * NS_PER_S))
     t = np.arange(0, 5.2, 1 / 50)
     with_track(video, b'camm', camm(t, R_world_camera=orientation(t)))
-    # Named or not.
-    said = figures_of(video, tmp_path, '--clock-offset', '0')
+    said = figures_of(video, tmp_path, '--truth', 'telemetry', '--clock-offset', '0')
     assert said['truth'] == 'telemetry' and 'gyro_bias_deg_s' not in said
     assert said['estimators']['anchored']['geodesic_deg']['mean'] < 0.5
     assert 'geodesic' in capsys.readouterr().out
+
+
+def test_a_gyro_is_truth_where_it_is_asked_for(frames, tmp_path, capsys):
+    video = write_video(tmp_path / 'ride.mp4', frames[1][:3])
+    with_track(video, b'gpmd', gopro(*(of(np.arange(9.)) for of in (
+        np.array, body_rates, body_forces))), 1000)
+    assert main([str(video), '--estimators', 'anchored']) == 1
+    line, = capsys.readouterr().err.splitlines()
+    assert 'as truth would do: telemetry' in line
 
 
 def test_a_video_without_telemetry_says_so(frames, tmp_path, capsys):

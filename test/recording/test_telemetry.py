@@ -91,12 +91,14 @@ def test_axes_are_those_that_a_gopro_names(order, video):
     assert off(found.forces_m_s2, body_forces) < 0.05
 
 
-@pytest.mark.parametrize('device, order', [
-    ('Hero6 Black', 'YxZ'), ('Fusion', 'yXZ'), ('Camera', 'ZXY')])
-def test_axes_are_known_of_goproes_that_do_not_name_them(device, order, video):
+@pytest.mark.parametrize('device, name, order', [
+    ('Hero6 Black', 'Gyroscope', 'YxZ'), ('Hero6 Black', 'Gyroscope (z,x,y)', 'ZXY'),
+    ('Fusion', 'Gyroscope (z,x,y)', 'yXZ'), ('Camera', 'Gyroscope (z,x,y)', 'ZXY')])
+def test_axes_are_known_of_goproes_that_do_not_name_them(device, name, order, video):
     t = times()
     found = read_telemetry(with_track(video, b'gpmd', gopro(
-        t, body_rates(t), body_forces(t), order, device=device, says_order=False), 1000))
+        t, body_rates(t), body_forces(t), order, device=device, name=name,
+        says_order=False), 1000))
     assert off(found.forces_m_s2, body_forces) < 0.05
 
 

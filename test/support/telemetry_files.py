@@ -92,7 +92,8 @@ def item(key, kind, values, columns=1):
             + bytes(-len(content) % 4))
 
 
-def gopro(t, rates, forces, order='XzY', stamps=True, device='GoPro Max', says_order=True):
+def gopro(t, rates, forces, order='XzY', stamps=True, device='GoPro Max', says_order=True,
+          name=''):
     """
     Return payloads of a second each, for samples (N, 3) at times (N,); the track knows seconds.
 
@@ -106,7 +107,8 @@ def gopro(t, rates, forces, order='XzY', stamps=True, device='GoPro Max', says_o
         return item('STRM', '\0', b''.join((
             item('STMP', 'J', round((t[first] + 7) * 1e6)) if stamps else b'',
             item('TSMP', 'L', last), item('ORIN', 'c', order) if says_order else b'',
-            item('SCAL', 's', SCALE), item(key, 's', np.round(SCALE * channels), 3))))
+            item('STNM', 'c', name) if name else b'', item('SCAL', 's', SCALE),
+            item(key, 's', np.round(SCALE * channels), 3))))
 
     payloads = []
     for second in range(int(np.floor(t[-1])) + 1):

@@ -15,7 +15,9 @@ been with these (TSMP), and, of later cameras, when the first one was taken (STM
 
 **Axes.** GoPro's are x left, y backwards, z up as seen from behind (the README's *IMU
 orientation*); ORIN says which of them the numbers of a sample are, small letters for the negative
-ones. Cameras without ORIN have the orders that the README tells.
+ones. Cameras without ORIN have the orders that the README tells, but for a HERO6 whose stream is
+named "(up/down, right/left, forward/back)" or "(z,x,y)", as a HERO5's: in GoPro's own sample
+gravity is where that name says, not the README.
 
 **Times.** Those of a payload are its track's, and the clock of the sensor is not the video's: with
 STMP samples lie evenly from one payload's to the next one's, on a clock whose offset is that of
@@ -38,9 +40,8 @@ from sph_stab_ros.recording.telemetry.base import check_count, Series, series, s
 NUMBERS = {'b': '>i1', 'B': '>u1', 's': '>i2', 'S': '>u2', 'l': '>i4', 'L': '>u4', 'j': '>i8',
            'J': '>u8', 'f': '>f4', 'd': '>f8'}
 NEST = '\0'
-# Of what cameras without ORIN say, by the beginnings of their names.
-ORDERS = {'Hero6': 'YxZ', 'HERO6': 'YxZ', 'Fusion': 'yXZ'}
-ORDER = 'ZXY'
+# Where there is no ORIN.
+ORDER, FUSION_ORDER, HERO6_ORDER = 'ZXY', 'yXZ', 'YxZ'
 US_PER_S = 1e6
 # A second of the fastest sensors is 24 kB; each record is a hundred times larger once it is read.
 MAX_PAYLOAD_BYTES = 2**22
@@ -138,13 +139,22 @@ def in_body(stream: dict[str, Item], key: str, device_name: str) -> Floats:
     scale = stream['SCAL'].numbers().ravel() if 'SCAL' in stream else np.ones(1)
     if vectors.shape[1] != 3 or len(scale) not in (1, 3) or not scale.all():
         raise ValueError('these are no vectors')
-    order = stream['ORIN'].text() if 'ORIN' in stream else next(
-        (one for start, one in ORDERS.items() if device_name.startswith(start)), ORDER)
+    order = _order(stream, device_name)
     if sorted(order.upper()) != ['X', 'Y', 'Z']:
         raise ValueError('these are no axes')
     x, y, z = (np.where(order[i].isupper(), 1, -1) * vectors[:, i] / scale[i % len(scale)]
                for i in map(order.upper().index, 'XYZ'))
     return single(np.column_stack((-y, x, z)))
+
+
+def _order(stream: dict[str, Item], device_name: str) -> str:
+    """Return which of GoPro's axes the numbers of a sample are."""
+    if 'ORIN' in stream:
+        return stream['ORIN'].text()
+    if device_name.startswith('Fusion'):
+        return FUSION_ORDER
+    names_axes = 'STNM' in stream and '(' in stream['STNM'].text()
+    return HERO6_ORDER if device_name.startswith('Hero6') and not names_axes else ORDER
 
 
 def joined(parts: list[Part]) -> Series | None:
