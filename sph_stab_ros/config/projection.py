@@ -86,6 +86,9 @@ class FisheyeConfig(Checked):
         'off the axis, or the sine of half of it', choices=LENS_MODELS)
     stretched: bool = option(
         False, 'Pictures of another aspect than width to height are stretched ones')
+    match_lenses: bool = option(
+        False, 'Make two lenses as bright and as coloured as each other near their border, by '
+        'what both see')
     file: str = option(
         '', 'Path of a calibration as ROS (camera_info of the model equidistant) or Kalibr '
         '(camchain) write it: it takes the place of the pixels and distortions, and of the rear '

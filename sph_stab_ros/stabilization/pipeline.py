@@ -26,6 +26,7 @@ from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.geometry.rotations import rotate_covariance, standard_deviation_rad
 from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.lens_matching import LensMatcher
 from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
 from sph_stab_ros.stabilization.imu_history import ImuHistory
@@ -131,6 +132,7 @@ class Stabilizer:
         self._gravity = Gravity()
         self._leveler = Leveler()
         self._smoother = Smoother()
+        self._lens_matcher = LensMatcher()
         self.config = config
         self.reset()
 
@@ -198,6 +200,7 @@ class Stabilizer:
         """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
         frame = as_sphere(frame, self.config)
         self._projection = projection_of(frame.size_wh, self.config)
+        frame = self._lens_matcher.matched(frame, self._projection, self.config.fisheye)
         events = tuple(self._events(frame))
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
@@ -213,11 +216,9 @@ class Stabilizer:
         R_world_virtual = self._smoother.update(
             self.config.smoothing, frame.time_ns, R_world_camera)
         self._last = frame
-        return StabilizedFrame(
-            frame, R_world_camera, tracked.status, events,
-            covariance, R_world_virtual, self._projection,
-            self._why_no_gravity(frame)
-            if StabilizationEvent.NO_GRAVITY in events else '')
+        why = self._why_no_gravity(frame) if StabilizationEvent.NO_GRAVITY in events else ''
+        return StabilizedFrame(frame, R_world_camera, tracked.status, events, covariance,
+                               R_world_virtual, self._projection, why)
 
     def settle(self) -> None:
         """Do what the last frame did not have to wait for; the next one will do it otherwise."""
@@ -265,9 +266,8 @@ class Stabilizer:
         self._heard_imu_ns = time_ns
         stamps_ns, forces_m_s2, rates_rad_s = map(np.array, zip(*rows))
         imu = self.config.imu
-        self._imu.add(
-            ImuSamples(stamps_ns, forces_m_s2, rates_rad_s),
-            mount_rotation(*np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg))))
+        self._imu.add(ImuSamples(stamps_ns, forces_m_s2, rates_rad_s), mount_rotation(
+            *np.deg2rad((imu.roll_deg, imu.pitch_deg, imu.yaw_deg))))
 
     def _level(self, frame: Frame) -> Rotation:
         """Return R_world_origin."""
