@@ -16,7 +16,7 @@ Insta360's files. Times are those of the video's pictures; axes are those of a b
 
 from pathlib import Path
 
-from sph_stab_ros.recording.telemetry import gpmf, insta360, tracks
+from sph_stab_ros.recording.telemetry import gpmf, insta360
 from sph_stab_ros.recording.telemetry.base import Series, Telemetry
 
 __all__ = ['read_telemetry', 'Series', 'stabilized_by', 'Telemetry', 'TELEMETRY']
@@ -31,7 +31,11 @@ def read_telemetry(path: Path) -> Telemetry | None:
 
     RecordingError where what is there is damaged beyond use, or more than can be held.
     """
-    return insta360.read(path) if insta360.is_trailed(path) else tracks.read(path)
+    if insta360.is_trailed(path):
+        return insta360.read(path)
+    # PyAV is imported for videos only.
+    from sph_stab_ros.recording.telemetry import tracks
+    return tracks.read(path)
 
 
 def stabilized_by(path: Path) -> str:
