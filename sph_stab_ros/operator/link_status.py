@@ -10,8 +10,6 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-
 from sph_stab_ros.operator.operated_robot import Watcher
 
 # Of a Link, as diagnostics name them.
@@ -20,9 +18,9 @@ NAMES = {'drawn': 'drawn_hz', 'dropped': 'dropped_hz', 'mbit_s': 'received_mbit_
          'round_trip_ms': 'round_trip_ms'}
 
 
-def link_status(node: str, watchers: Sequence[Watcher]) -> DiagnosticStatus:
+def link_status(watchers: Sequence[Watcher]) -> tuple[str, dict[str, str]]:
     """
-    Return the DiagnosticStatus of a node whose pages are watched.
+    Return the message of a DiagnosticStatus and its values, by key.
 
     Of each browser it has what its page shows of the link, numbered in the order in which they
     came; what is unknown is left out. Latencies are from the camera's stamp to the drawn picture.
@@ -34,6 +32,4 @@ def link_status(node: str, watchers: Sequence[Watcher]) -> DiagnosticStatus:
             if value is not None:
                 values[f'browser {number}: {NAMES[name]}'] = f'{value:.1f}'
     message = {0: 'nobody watches', 1: '1 browser'}.get(len(watchers), f'{len(watchers)} browsers')
-    return DiagnosticStatus(
-        level=DiagnosticStatus.OK, name=f'{node}: link', message=message,
-        values=[KeyValue(key=key, value=value) for key, value in values.items()])
+    return message, values

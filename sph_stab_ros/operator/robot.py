@@ -21,7 +21,7 @@ from functools import partial
 from time import monotonic
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Quaternion, QuaternionStamped
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
@@ -163,9 +163,13 @@ class Robot(Node):
 
     def report(self, watchers: Sequence[Watcher]) -> None:
         """Publish who watches, and how well."""
+        message, values = link_status(watchers)
         self._diagnostics.publish(DiagnosticArray(
             header=Header(stamp=self.get_clock().now().to_msg()),
-            status=[link_status(self.get_fully_qualified_name(), watchers)]))
+            status=[DiagnosticStatus(
+                level=DiagnosticStatus.OK, name=f'{self.get_fully_qualified_name()}: link',
+                message=message,
+                values=[KeyValue(key=key, value=value) for key, value in values.items()])]))
 
     async def reset_heading(self) -> str:
         """Make the next image's orientation the world's; return what to tell the operator."""
