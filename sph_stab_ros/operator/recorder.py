@@ -62,6 +62,7 @@ class Recorder:
         self._bag: BagWriter | None = None
         # Of the bag that is being written, else ''.
         self.name = ''
+        self._failure = ''
 
     async def record(self, wanted: bool) -> str:
         """Begin or end a bag; return what to tell the operator, or raise RobotError."""
@@ -76,6 +77,11 @@ class Recorder:
             self._thread.submit(self._write, picture)
         else:
             self._warn('slow disk', 'picture not recorded: the disk is too slow')
+
+    def pop_failure(self) -> str:
+        """Return why a bag has ended by itself, once; else ''."""
+        failure, self._failure = self._failure, ''
+        return failure
 
     def close(self) -> None:
         """Write what waits, and end."""
@@ -104,7 +110,8 @@ class Recorder:
                 refuse_full_disk(self._folder)
                 write_picture(self._bag, picture)
         except OSError as error:
-            self._warn('disk', f'recording has ended: {reason(error)}')
+            self._failure = f'The recording has ended: {reason(error)}.'
+            self._warn('disk', self._failure)
             with suppress(RobotError):
                 self._end()
         finally:

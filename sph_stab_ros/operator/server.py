@@ -244,6 +244,9 @@ class OperatorServer:
         report_s = 0.
         while True:
             self._tell_all()
+            if failure := self._recorder.pop_failure():
+                for client in self._browsers:
+                    self._tell(client, failure, ok=False)
             if monotonic() >= report_s:
                 report_s = monotonic() + REPORT_PERIOD_S
                 self._robot.report([

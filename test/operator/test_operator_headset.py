@@ -298,6 +298,45 @@ def test_a_card_that_fails_in_the_headset_leaves_the_page(wearer):
     assert not wearer.is_worn()
 
 
+def test_a_headset_that_refuses_leaves_the_page(served, wearer):
+    wearer.page.keyboard.press('h')
+    wait_until(lambda: not wearer.is_worn())
+    wearer.page.evaluate("""() => {
+        navigator.xr.requestSession = async () => { throw new Error('not allowed'); }; }""")
+    wearer.page.keyboard.press('h')
+    wait_until(lambda: wearer.page.text_content('#notice') == 'not allowed')
+    wearer.wait_for_situation('stabilized')
+    wearer.wait_for_picture_after(wearer.stamp_ns)
+    assert wearer.page.get_attribute('#headset', 'aria-pressed') == 'false'
+
+
+def test_lenses_may_be_off_their_middle(wearer):
+    """As a headset's are: what is straight ahead is where the projection has it."""
+    x, y = wearer.page.evaluate("""async () => {
+        const {SphereRenderer} = await import('/sphere_renderer.js');
+        const image = new OffscreenCanvas(512, 256), context = image.getContext('2d');
+        context.fillStyle = '#fff';
+        context.fillRect(252, 124, 8, 8);
+        const canvas = Object.assign(document.createElement('canvas'), {width: 200, height: 200});
+        const renderer = new SphereRenderer(canvas);
+        renderer.load(await createImageBitmap(image));
+        renderer.drawInto({x: 0, y: 0, width: 200, height: 200}, [1, 1, 0.2, -0.4],
+                          [1, 0, 0, 0, 1, 0, 0, 0, 1]);
+        const pixels = new Uint8Array(4 * 200 * 200), {gl} = renderer;
+        gl.readPixels(0, 0, 200, 200, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+        let sum = 0, x = 0, y = 0;
+        for (let n = 0; n < 200 * 200; n++) {
+            sum += pixels[4 * n];
+            x += pixels[4 * n] * (n % 200);
+            y += pixels[4 * n] * Math.floor(n / 200);
+        }
+        return [x / sum, y / sum];
+    }""")
+    # Elements 8 and 9 of OpenGL's projection, by which places are less than the tangents.
+    assert (x - 99.5) / 100 == pytest.approx(-0.2, abs=0.01)
+    assert (y - 99.5) / 100 == pytest.approx(0.4, abs=0.01)
+
+
 def test_without_a_headset_none_is_offered(served, browser):
     page = Page(browser, served.url)
     try:

@@ -141,7 +141,8 @@ def test_a_full_disk_is_told_and_ends_a_recording(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, 'disk_usage', lambda path: Usage(10**8))
     recorder.take(numbered(1))
     wait_until(lambda: not recorder.name)
-    assert warnings == ['recording has ended: No space left on device']
+    assert warnings == ['The recording has ended: No space left on device.']
+    assert [recorder.pop_failure(), recorder.pop_failure()] == [warnings[0], '']
     assert check(bag) == 1
     with pytest.raises(RobotError, match='Not recorded: No space left on device.'):
         asyncio.run(recorder.record(True))
@@ -208,6 +209,21 @@ def test_who_has_control_records_on_the_robot(tmp_path):
     run()
     bag, = tmp_path.iterdir()
     assert check(bag) == 2
+
+
+def test_everybody_is_told_of_a_recording_that_ends_by_itself(tmp_path, monkeypatch):
+    @served(recordings=tmp_path)
+    async def run(site):
+        steering, watching = await site.connect(), await site.connect()
+        await steering.control('yours')
+        await steering.send('record', on=True)
+        await watching.receive('state', lambda state: state['recording'])
+        monkeypatch.setattr(shutil, 'disk_usage', lambda path: Usage(10**8))
+        site.server.show(numbered(0))
+        for browser in (steering, watching):
+            await browser.receive('notice', lambda notice: 'has ended' in notice['text'])
+            await browser.receive('state', lambda state: not state['recording'])
+    run()
 
 
 def pad(page, button, pressed):

@@ -8,7 +8,7 @@ import {programOf} from './webgl.js';
 
 const COLUMNS = 128, ROWS = 64;
 const DARK = 16;
-// How many pictures the card may draw black that are not.
+// How many pictures the card may draw black that are not; in a headset nobody can look.
 const TRIALS = 3;
 
 const VERTEX_SHADER = `#version 300 es
@@ -43,7 +43,7 @@ export class SphereRenderer {
   // failed(reason): called where the context is lost. Throws an Error where the browser cannot do it,
   // as do the methods where it fails. xrCompatible: whether a headset is to show it.
   constructor(canvas, failed = () => {}, xrCompatible = false) {
-    this.canvas = canvas;
+    Object.assign(this, {canvas, allowance: xrCompatible ? 0 : TRIALS});
     this.gl = canvas.getContext(
       'webgl2', {alpha: false, antialias: false, depth: false, xrCompatible});
     if (!this.gl) throw new Error('This browser has no WebGL 2.');
@@ -97,7 +97,7 @@ export class SphereRenderer {
     if (width !== this.width || height !== this.height) {
       // Memory may be short. To ask more often takes time.
       this.#check();
-      Object.assign(this, {width, height, trials: TRIALS});
+      Object.assign(this, {width, height, trials: this.allowance});
     }
     // What is black proves nothing.
     this.onTrial = this.trials > 0 && !isBlack(image);
