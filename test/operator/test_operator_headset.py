@@ -15,7 +15,7 @@ from sph_stab_ros.geometry.warp import rotate_equirect, view_rotation
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
-from operator_harness import Page, wait_until, world_with_disc  # noqa: E402, I100
+from operator_harness import Page, wait_until, world_with_disc, yaw_deg  # noqa: E402, I100
 from operator_served import Served, State  # noqa: E402
 from sph_stab_ros.operator.pairing import Orientation, Picture  # noqa: E402
 from xr_emulator import emulator  # noqa: E402
@@ -50,16 +50,21 @@ class Turning(Served):
         self.turn(0)
 
     def turn(self, yaw_deg, roll_deg=0, R_world_virtual=LOCKED):
-        """Turn the camera from now on, and what follows it."""
+        """Turn the camera, and what follows it; return a list for the first stamp from then."""
         R = view_rotation(np.deg2rad(yaw_deg), 0, np.deg2rad(roll_deg))
         file = cv2.imencode('.jpg', rotate_equirect(self._world, R))[1].tobytes()
+        first_ns = []
         self._shown = file, Orientation(*(
-            tuple(one.as_quat().tolist()) for one in (R, R_world_virtual)))
+            tuple(one.as_quat().tolist()) for one in (R, R_world_virtual))), first_ns
+        return first_ns
 
     def picture(self, now_s):
         """Return what the camera gives next."""
-        file, orientation = self._shown
-        return Picture(round(1e9 * now_s), file, now_s, orientation)
+        file, orientation, first_ns = self._shown
+        stamp_ns = round(1e9 * now_s)
+        if not first_ns:
+            first_ns.append(stamp_ns)
+        return Picture(stamp_ns, file, now_s, orientation)
 
 
 class Wearer(Page):
@@ -82,6 +87,11 @@ class Wearer(Page):
         self.page.keyboard.press('h')
         wait_until(self.is_worn)
         self.wait_for_situation('stabilized')
+
+    def wait_for(self, first_ns):
+        """Wait for what a Turning camera has turned to."""
+        wait_until(lambda: first_ns and self.stamp_ns >= first_ns[0], self.situation)
+        self.page.evaluate(SHOWN)
 
     def is_worn(self):
         """Tell whether there is a session."""
@@ -169,33 +179,29 @@ def test_a_turned_head_sees_the_world_turned_at_once(served, wearer):
     """Also while no picture comes: nothing is asked of anybody, nothing goes to the card."""
     served.on = False
     wearer.wait_for_situation('silent')
-    assert wearer.stamp_ns == served.last_ns
+    wait_until(lambda: wearer.stamp_ns == served.last_ns)
+    wearer.wait_for_situation('silent')
     wearer.page.evaluate(COUNT)
-    for yaw_deg, pitch_deg in ((30, 0), (0, 30)):
-        wearer.turn(yaw_deg, pitch_deg)
+    for left_deg, up_deg in ((30, 0), (0, 30)):
+        wearer.turn(left_deg, up_deg)
         for angles in wearer.disc_deg():
-            np.testing.assert_allclose(angles, (yaw_deg, pitch_deg), atol=1)
+            np.testing.assert_allclose(angles, (left_deg, up_deg), atol=1)
     counted = wearer.page.evaluate('window.counted')
     assert counted['spheres'] >= 8
     assert counted['uploads'] == 0
 
 
 def test_the_world_stands_while_the_robot_turns(served, wearer):
-    for yaw_deg, roll_deg in ((30, 0), (-60, 20)):
-        before_ns = wearer.stamp_ns
-        served.turn(yaw_deg, roll_deg)
-        # The one on its way may still be the last.
-        wearer.wait_for_picture_after(before_ns + 10**9 // 5)
+    for left_deg, roll_deg in ((30, 0), (-60, 20)):
+        wearer.wait_for(served.turn(left_deg, roll_deg))
         for angles in wearer.disc_deg():
             np.testing.assert_allclose(angles, 0, atol=1)
 
 
 def test_the_horizon_is_level_and_what_is_seen_is_published(served, wearer, look):
     """Also where the stabilizer's view leans, as it may when it follows."""
-    before_ns = wearer.stamp_ns
     R_world_virtual = view_rotation(*np.deg2rad((20, 5, 15)))
-    served.turn(0, 0, R_world_virtual)
-    wearer.wait_for_picture_after(before_ns + 10**9 // 5)
+    wearer.wait_for(served.turn(0, 0, R_world_virtual))
     wearer.turn(-15)
     for angles in wearer.disc_deg():
         np.testing.assert_allclose(angles, (5, 0), atol=1)
@@ -203,7 +209,7 @@ def test_the_horizon_is_level_and_what_is_seen_is_published(served, wearer, look
     wait_until(lambda: (R_world_virtual * look() * seen.inv()).magnitude() < 0.01)
 
 
-def test_who_only_watches_publishes_nothing(served, wearer, browser):
+def test_who_only_watches_publishes_nothing(served, wearer, look, browser):
     other = Page(browser, served.url)
     try:
         other.page.click('#take')
@@ -211,11 +217,12 @@ def test_who_only_watches_publishes_nothing(served, wearer, browser):
         served.robot.looks.clear()
         wearer.turn(20)
         wearer.wait_for_picture_after(wearer.stamp_ns)
-        assert not served.robot.looks
+        # The other one looks ahead.
+        assert all(Rotation.from_quat(R).magnitude() < 0.01 for R in served.robot.looks)
         # The trigger takes control.
         wearer.press('trigger')
         wearer.press('trigger', 0)
-        wait_until(lambda: served.robot.looks)
+        wait_until(lambda: served.robot.looks and yaw_deg(look()) == pytest.approx(20, abs=1))
         wait_until(lambda: 'another operator' in other.page.text_content('#control'))
     finally:
         other.context.close()
@@ -240,17 +247,17 @@ def test_the_stick_turns_in_steps(wearer):
     assert wearer.disc_deg()[0][0] == pytest.approx(0, abs=1)
 
 
-def test_smooth_turns_are_behind_a_vignette(wearer):
+def test_smooth_turns_are_behind_a_vignette(wearer, look):
     wearer.press('thumbstick')
     wearer.press('thumbstick', 0)
     wearer.push(0.2)
     wait_until(wearer.has_tunnel)
-    wait_until(lambda: wearer.disc_deg()[0][0] < -5)
+    wait_until(lambda: yaw_deg(look()) < -5)
     wearer.push(0)
     wait_until(lambda: not wearer.has_tunnel())
-    stays = wearer.disc_deg()[0][0]
+    stays_deg = yaw_deg(look())
     wearer.page.evaluate(SHOWN)
-    assert wearer.disc_deg()[0][0] == pytest.approx(stays, abs=0.3)
+    assert yaw_deg(look()) == pytest.approx(stays_deg, abs=0.1)
 
 
 def test_lost_tracking_is_seen_within_the_eyes(served, wearer):

@@ -282,6 +282,7 @@ def test_a_snapshot_is_what_is_on_the_screen(opened, tmp_path, by, query):
         page.wait_for_situation('stabilized')
         served.on = False
         page.wait_for_situation('silent')
+        wait_until(lambda: page.stamp_ns == served.last_ns)
         with page.page.expect_download() as download:
             if by == 'button':
                 page.page.click('#snapshot')

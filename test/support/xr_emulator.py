@@ -16,8 +16,8 @@ import tempfile
 import pytest
 
 VERSION = '2.5.0'
-CACHE = Path(__file__).resolve().parents[2] / 'results' / f'iwer-{VERSION}'
-FILE = 'package/build/iwer.min.js'
+CACHE = Path(__file__).resolve().parents[2] / 'results' / f'iwer-{VERSION}.js'
+MEMBER = 'package/build/iwer.min.js'
 TIMEOUT_S = 60
 # Worn by nobody: it looks ahead. The two eyes are beside each other on the page.
 WORN = """
@@ -28,9 +28,9 @@ WORN = """
 
 def emulator():
     """Return a script that gives a page a headset, ``worn``, or skip the test."""
-    if not (CACHE / FILE).exists():
+    if not CACHE.exists():
         fetch()
-    return (CACHE / FILE).read_text() + WORN
+    return CACHE.read_text() + WORN
 
 
 def fetch():
@@ -45,7 +45,10 @@ def fetch():
         except subprocess.TimeoutExpired:
             pytest.skip('npm does not bring the emulator of a headset')
         if packed.returncode:
-            pytest.skip(f'npm does not bring the emulator of a headset: {packed.stderr[-200:]}')
+            pytest.skip(f'npm does not bring the emulator of a headset: {packed.stderr[:200]}')
         with tarfile.open(Path(folder) / f'iwer-{VERSION}.tgz') as archive:
-            archive.extract(FILE, Path(folder) / 'whole')
-        (Path(folder) / 'whole').rename(CACHE)
+            script = archive.extractfile(MEMBER).read()
+        # Whole, or not at all.
+        partial = Path(folder) / CACHE.name
+        partial.write_bytes(script)
+        partial.replace(CACHE)
