@@ -150,14 +150,12 @@ def test_every_estimator_with_every_flow(bag, tmp_path):
 
 
 def test_offline_is_evaluated_beside_the_live_tracker(bag, tmp_path, capsys):
-    """By truth and by rotations injected, with a row of its own and all its time."""
+    """By truth and by rotations injected, with a row of its own."""
     for n, how in enumerate((('--clock-offset', 'auto'), ('--inject', '1', '--max-frames', '30'))):
         path = tmp_path / f'{n}.json'
         main([str(bag), '--estimators', 'anchored', '--offline', '--json', str(path), *how])
         figures = json.loads(path.read_text())['estimators']
-        live, offline = figures['anchored'], figures['anchored/offline']
-        assert offline['geodesic_deg']['mean'] < 0.1
-        assert offline['ms_per_frame'] > 1.5 * live['ms_per_frame']
+        assert figures['anchored/offline']['geodesic_deg']['mean'] < 0.1
     assert capsys.readouterr().out.count('\nanchored/offline ') == 2
 
 
