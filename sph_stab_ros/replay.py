@@ -35,7 +35,7 @@ from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording, STANDARD_INPUT
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.stabilization.offline import offline_stabilizer
+from sph_stab_ros.stabilization.offline import looking_ahead, offline_stabilizer
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
     picture_outputs)
@@ -43,6 +43,7 @@ from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import (
     FrameProcessor, stabilize_recording, Summary)
+from sph_stab_ros.tracking import make_tracker, MakeTracker
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
@@ -222,8 +223,15 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     return args, given_settings(parser, args)
 
 
-def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Summary, list[str]]:
-    """Do what a parsed command line says; return the Summary, and lines that tell of it."""
+def replay(args: Namespace, settings: Settings, progress: Progress, sinks: Sequence[Sink] = (),
+           pictures: bool = False, known_tracker: MakeTracker | None = None
+           ) -> tuple[Summary, list[str]]:
+    """
+    Do what a parsed command line says; return the Summary, and lines that tell of it.
+
+    ``sinks`` take in the frames besides, with ``pictures`` or not. Where the orientations are
+    known already, a ``known_tracker`` tells them.
+    """
     config = settings.config
     recording = open_given(args)
     imu_topic = find_imu_topic(recording, args.imu_topic) if config.level == IMU else None
@@ -236,10 +244,10 @@ def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Sum
         return stabilize_recording(
             recording, processor, sinks, args.max_frames, lambda frames: progress(frames, total),
             # Each time, so that all readings leave out the same.
-            imu, pictures=args.out is not None, watch=watch), imu
+            imu, pictures=pictures or args.out is not None, watch=watch), imu
 
     with ExitStack() as stack:
-        sinks: list[Sink] = []
+        sinks = [*sinks]
         if args.trajectory:
             sinks.append(trajectory_sink(args.trajectory, args.force, stack))
         if args.out:
@@ -247,8 +255,10 @@ def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Sum
         if args.offline:
             # What one reading has told of the next ones need not tell again.
             stack.enter_context(told_once())
-        stabilizer = (offline_stabilizer(config, read, progress) if args.offline
-                      else Stabilizer(config))
+        stabilizer = (
+            Stabilizer(config, known_tracker or make_tracker) if not args.offline else
+            looking_ahead(config, read, known_tracker) if known_tracker else
+            offline_stabilizer(config, read, progress))
         summary, imu = read(stabilizer, sinks, PictureWatch(config))
     lines = list(report(summary, config, time.perf_counter() - start_s))
     if args.out and args.out.suffix and summary.colour and summary.colour.assumed:

@@ -1,0 +1,139 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""The option --split of batch: segments in parallel, joined to what one run would have found."""
+
+from pathlib import Path
+import signal
+import time
+
+import numpy as np
+import pytest
+from sph_stab_ros.batch.results import LOCK, manifest_of, PARTIAL, SEGMENTS
+from sph_stab_ros.batch.segments import stretches_of
+from sph_stab_ros.evaluation.alignment import align_trajectories
+from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.runs import compare
+from sph_stab_ros.geometry.trajectory import read_tum
+from sph_stab_ros.recording import open_recording
+from test_batch import call, start
+from tiny_recordings import START_NS, turning_spheres, write_bag
+
+BAGS = Path(__file__).resolve().parents[2] / 'bags'
+PERIOD_S = 0.1
+FRAMES = 160
+
+
+@pytest.fixture(scope='module')
+def turning():
+    """Return spheres of a camera that turns for sixteen seconds, and its R_world_camera."""
+    return turning_spheres(FRAMES)
+
+
+@pytest.fixture
+def images(turning):
+    """Return the spheres."""
+    return turning[0]
+
+
+def write(path, images):
+    """Write a bag of ten pictures a second."""
+    return write_bag(path, images, START_NS + np.int64(PERIOD_S * 1e9) * np.arange(len(images)))
+
+
+def mean_error_deg(bag, trajectory):
+    """Return the mean error of a trajectory against the truth."""
+    recording = open_recording(bag)
+    truth = read_truth(recording, find_truth_topic(recording))
+    alignment = align_trajectories(truth, trajectory, None, 0)
+    return compare(truth, trajectory, alignment).summary()['geodesic_deg']['mean']
+
+
+@pytest.mark.thorough
+def test_a_split_recording_is_as_good_as_a_whole_one(tmp_path):
+    """No step at the joint, and about the same error to the truth."""
+    found = {}
+    for name, args in (('whole', ()), ('split', ('--split', '10'))):
+        call(BAGS / 'drone', '--out', tmp_path / name, '--write', 'trajectory', *args)
+        found[name] = read_tum(tmp_path / name / 'drone' / 'trajectory.tum')
+    whole, split = found['whole'], found['split']
+    assert len(manifest_of(tmp_path / 'split' / 'drone')['segments']) == 2
+    np.testing.assert_array_equal(split.stamps_ns, whole.stamps_ns)
+    assert mean_error_deg(BAGS / 'drone', split) <= 1.2 * mean_error_deg(BAGS / 'drone', whole)
+    recording = open_recording(BAGS / 'drone')
+    truth = read_truth(recording, find_truth_topic(recording))
+    alignment = align_trajectories(truth, whole, None, 0)
+    errors = {name: compare(truth, one, alignment) for name, one in found.items()}
+    steps = {name: one.summary()['per_frame_deg']['max'] for name, one in errors.items()}
+    assert steps['split'] <= steps['whole'] + 0.02
+
+
+@pytest.mark.parametrize('write_as', ['trajectory', 'bag'])
+def test_all_pictures_are_in_the_result_once(turning, tmp_path, write_as):
+    """Whether or not the recording is read again for its pictures."""
+    images, R_world_camera = turning
+    bag, out = write(tmp_path / 'bag', images), tmp_path / 'out'
+    call(bag, '--out', out, '--write', write_as, '--split', '10', '--smoothing', 'follow')
+    assert manifest_of(out / 'bag')['frames'] == FRAMES
+    trajectory = read_tum(out / 'bag' / 'trajectory.tum')
+    np.testing.assert_array_equal(
+        trajectory.stamps_ns, [frame.stamp_ns for frame in open_recording(bag).frames()])
+    assert np.rad2deg((trajectory.rotations.inv() * R_world_camera).magnitude()).max() < 0.3
+    assert not (out / SEGMENTS).exists() and not (out / PARTIAL).exists()
+    if write_as == 'bag':
+        pictures = open_recording(out / 'bag' / 'stabilized', 'stabilized/image/compressed')
+        assert sum(1 for _ in pictures.frames()) == FRAMES
+
+
+def test_segments_overlap_and_have_no_gaps(images, tmp_path):
+    """Whatever the recording's length; a short one is not split."""
+    bag = write(tmp_path / 'bag', images)
+    assert len(stretches_of(bag, None, 16)) == 1
+    first, second = stretches_of(bag, None, 10)
+    assert first.start_s == 0 and second.end_s == float('inf')
+    assert first.end_s - second.start_s == pytest.approx(5)
+    assert first.end_s + second.start_s == pytest.approx(16)
+
+
+def test_after_a_power_cut_the_same_call_goes_on_with_the_segments_that_are_missing(
+        images, tmp_path, capsys):
+    """What is whole is not done again."""
+    bag, out = write(tmp_path / 'bag', images), tmp_path / 'out'
+    args = (bag, '--out', out, '--write', 'trajectory', '--split', '10', '--jobs', '1')
+    process = start(*args)
+    done = out / SEGMENTS / 'bag [1 of 2]'
+    while process.poll() is None and not done.is_dir():
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.communicate(timeout=60)
+    assert manifest_of(done) is not None and not (out / 'bag').exists()
+    call(*args)
+    said = capsys.readouterr().out
+    assert 'bag [2 of 2]: ' in said and 'bag [1 of 2]: ' not in said
+    assert manifest_of(out / 'bag')['frames'] == FRAMES
+    call(*args)
+    assert '1 recordings into' in capsys.readouterr().out
+    assert {path.name for path in out.iterdir()} == {'bag', 'failures.json', LOCK}
+
+
+def test_a_segment_that_fails_is_the_reason(images, tmp_path, capsys):
+    """The recording has no result, and others have theirs."""
+    folder, out = tmp_path / 'in', tmp_path / 'out'
+    folder.mkdir()
+    write(folder / 'changing', images[:-20] + [image[::2, ::2] for image in images[-20:]])
+    write(folder / 'good', images)
+    args = (folder, '--out', out, '--write', 'trajectory', '--split', '10')
+    call(*args, expect=1)
+    said = capsys.readouterr()
+    assert said.err == 'batch: 1 of 2 recordings have no result\n'
+    table = said.out.splitlines()[-1]
+    assert table.startswith('changing  changing [2 of 2]: its pictures change their size')
+    assert manifest_of(out / 'good') is not None and not (out / 'changing').exists()
+    call(*args, expect=1)
+    again = capsys.readouterr().out
+    assert again.splitlines()[-1] == table and '1 done, 1 failed' in again
