@@ -11,8 +11,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from functools import cache
-import logging
+import math
 from pathlib import Path
 import re
 import sys
@@ -29,71 +28,31 @@ from sph_stab_ros.command_line.parameters import (
     settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
+from sph_stab_ros.evaluation.outputs import see_that_figures_can_be_drawn
 from sph_stab_ros.geometry.arrays import Image
-from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording, STANDARD_INPUT
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.offline import looking_ahead, offline_stabilizer
-from sph_stab_ros.stabilization.outputs import (
-    configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
-    picture_outputs)
+from sph_stab_ros.stabilization.outputs import configured_camera, draw_sphere, draw_view
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import (
     FrameProcessor, stabilize_recording, Summary)
+from sph_stab_ros.stabilization.sinks import bag_sink, Sink, trajectory_sink, video_sink
 from sph_stab_ros.tracking import make_tracker, MakeTracker
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-logger = logging.getLogger(__name__)
-
+# Beside the node's parameters.
+REPORTED_FLAGS = ('image_topic', 'imu_topic', 'start', 'end', 'max_frames', 'offline', 'view',
+                  'side_by_side')
 VIDEO_SUFFIXES = ('.mp4', '.mov')
-# Writes a frame down.
-Sink: TypeAlias = Callable[[StabilizedFrame], Any]
 # Passes on frames, or what is left of them, of which so many are expected if that is known, and
 # may tell of it.
 Progress: TypeAlias = Callable[[Iterator[Any], int | None], Iterable[Any]]
-
-
-def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
-    """Return a sink that writes ``R_world_camera`` into a TUM file."""
-    file = stack.enter_context(open(stack.enter_context(partial_output(path, force)), 'w'))
-    return lambda s: file.write(tum_line(s.stamp_ns, s.R_world_camera))
-
-
-def video_sink(args: Namespace, recording: Recording, stack: ExitStack,
-               picture: Callable[[StabilizedFrame], Image], spheres: bool) -> Sink:
-    """Return a sink that writes ``picture(stabilized)`` into a video file."""
-    from sph_stab_ros.recording.video import VideoRecording
-    from sph_stab_ros.recording.video_writer import VideoWriter
-    sound = recording.sound_path if isinstance(recording, VideoRecording) else None
-    writer = stack.enter_context(VideoWriter(
-        stack.enter_context(partial_output(args.out, args.force)), spheres, sound,
-        is_all=not is_cut(args)))
-    return lambda s: writer.write(picture(s), s.frame.time_ns, s.frame.colour)
-
-
-def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:
-    """Return a sink that writes what the node publishes, but raw images, into a rosbag2 folder."""
-    from sph_stab_ros.recording.bag_writer import BagWriter
-    writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
-    config = settings.config
-    cameras = [configured_camera(name, view) for name, view in settings.views.items()]
-
-    @cache
-    def say_that_tree_is_missing(frame_id: str) -> None:
-        logger.warning("no /tf in %s: the pictures have the frame_id '%s'", path, frame_id)
-
-    def write(s: StabilizedFrame) -> None:
-        if config.publish_tf and not fits_into_tree(s.frame.frame_id, config, cameras):
-            say_that_tree_is_missing(s.frame.frame_id)
-        for output in (*orientation_outputs(s, config, cameras),
-                       *picture_outputs(s, config, cameras, raw=False)):
-            writer.write(output.topic, output.message(writer.make), s.frame.time_ns)
-    return write
 
 
 def output_sink(args: Namespace, settings: Settings, recording: Recording, stack: ExitStack
@@ -109,7 +68,7 @@ def output_sink(args: Namespace, settings: Settings, recording: Recording, stack
         if args.side_by_side:
             return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
         return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
-    return video_sink(args, recording, stack, picture,
+    return video_sink(args.out, args.force, stack, recording, not is_cut(args), picture,
                       spheres=not (args.side_by_side or args.view))
 
 
@@ -204,6 +163,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
                         help='rosbag2 folder, .mp4 or .mov; nothing is warped without it')
     parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
                         help='write "stamp 0 0 0 qx qy qz qw" of each picture')
+    parser.add_argument('--report', metavar='FILE.html', type=Path,
+                        help='write what happened with figures and pictures, in one file')
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
     add_options(parser)
     # OUT may stand behind options too.
@@ -217,9 +178,10 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     check_stretch(parser, args)
     if args.offline and args.recording == STANDARD_INPUT:
         parser.error('--offline reads twice, which a pipe cannot be')
-    paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
+    paths = [path.resolve() for path in (
+        args.recording, args.out, args.trajectory, args.report) if path]
     if len(set(paths)) < len(paths):
-        parser.error('IN, OUT and --trajectory must be different files')
+        parser.error('IN, OUT, --trajectory and --report must be different files')
     return args, given_settings(parser, args)
 
 
@@ -232,6 +194,25 @@ def replay(args: Namespace, settings: Settings, progress: Progress, sinks: Seque
     ``sinks`` take in the frames besides, with ``pictures`` or not. Where the orientations are
     known already, a ``known_tracker`` tells them.
     """
+    if args.report is None:
+        return write_outputs(args, settings, progress, sinks, pictures, known_tracker)
+    see_that_figures_can_be_drawn('--report')
+    from sph_stab_ros.evaluation.replay_log import ReplayLog
+    from sph_stab_ros.evaluation.replay_report import page
+    with partial_output(args.report, args.force) as path:
+        log = ReplayLog()
+        summary, lines = write_outputs(
+            args, settings, progress, [*sinks, log], True, known_tracker)
+        flags = {f'--{name.replace("_", "-")}': getattr(args, name) for name in REPORTED_FLAGS
+                 if getattr(args, name) not in (None, False, 0., math.inf)}
+        path.write_text(page(args.recording.name, log, lines, settings, flags))
+    return summary, lines
+
+
+def write_outputs(args: Namespace, settings: Settings, progress: Progress, sinks: Sequence[Sink],
+                  pictures: bool, known_tracker: MakeTracker | None
+                  ) -> tuple[Summary, list[str]]:
+    """Do what ``replay`` does, but for its report."""
     config = settings.config
     recording = open_given(args)
     imu_topic = find_imu_topic(recording, args.imu_topic) if config.level == IMU else None

@@ -47,7 +47,8 @@ def batch(args: Namespace, settings: Settings) -> None:
     options = options_of(settings, {name: getattr(args, name) for name in (
         'write', 'image_topic', 'imu_topic', 'max_frames', 'side_by_side', 'view')}
         # So that results of those who know of no other way are still the same.
-        | {name: getattr(args, name) for name in ('offline', 'split') if getattr(args, name)})
+        | {name: getattr(args, name) for name in ('start', 'end', 'offline', 'report', 'split')
+           if getattr(args, name) not in (None, False, 0., math.inf)})
     entries = list(make_plan(recordings, args.out, options, evaluate=args.evaluate,
                              force=args.force, retry=args.retry))
     for line in plan_lines(entries, args.out):
@@ -134,6 +135,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     parser.add_argument('--write', choices=WRITTEN, default='mp4',
                         help='the stabilised video, a bag, or nothing besides the trajectory '
                         '(default: mp4)')
+    parser.add_argument('--report', action='store_true',
+                        help='a page for each as by replay --report')
     parser.add_argument('--dry-run', action='store_true', help='show the plan only')
     parser.add_argument('--evaluate', action='store_true',
                         help='one table over all recordings that have truth')

@@ -33,6 +33,7 @@ from sph_stab_ros.recording.partial_output import partial_output
 
 MANIFEST, EVALUATION, FAILURES = 'manifest.json', 'evaluation.json', 'failures.json'
 TRAJECTORY, VIDEO, BAG = 'trajectory.tum', 'stabilized.mp4', 'stabilized'
+REPORT = 'report.html'
 PARTIAL, LOCK = '.partial', '.lock'
 # Those of parts of recordings, until they are joined.
 SEGMENTS = '.segments'

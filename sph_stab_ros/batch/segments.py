@@ -97,7 +97,7 @@ def track_segment(task: Task, args: Namespace, progress: Progress) -> tuple[Summ
     """Track a segment and write its orientations down; return what ``replay`` does."""
     assert task.stretch is not None
     args = Namespace(**{**vars(args), 'start': task.stretch.start_s, 'end': task.stretch.end_s,
-                        'out': None, 'trajectory': None, 'view': None, 'side_by_side': False})
+                        'out': None, 'trajectory': None, 'report': None, 'view': None, 'side_by_side': False})
     # Only the orientations are asked for.
     settings = replace(task.settings, config=with_option(
         task.settings.config, 'smoothing.mode', LOCK))
@@ -128,7 +128,7 @@ def join_tracked(task: Task, args: Namespace, progress: Progress) -> tuple[Summa
         joined = join_segments([segment for segment in segments if segment.orientations])
     except JoiningError as error:
         raise RecordingError(f'{error}: it cannot be split') from None
-    if args.out is not None:
+    if args.out or args.report:
         return replay(args, task.settings, progress,
                       known_tracker=lambda *_: KnownOrientations(joined.orientations))
     rotations = Rotation.concatenate([one.R_world_camera for one in joined.orientations])

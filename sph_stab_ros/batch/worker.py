@@ -29,7 +29,8 @@ from typing import Any, IO
 import cv2
 
 from sph_stab_ros.batch.results import (
-    BAG, EVALUATION, MANIFEST, manifest_of, publish, TRAJECTORY, VIDEO, write_json)
+    BAG, EVALUATION, MANIFEST, manifest_of, publish, REPORT, TRAJECTORY, VIDEO,
+    write_json)
 from sph_stab_ros.batch.segments import join_tracked, track_segment
 from sph_stab_ros.batch.tasks import Task
 from sph_stab_ros.command_line import is_out_of_memory
@@ -82,7 +83,8 @@ def work(task: Task, channel: IO[str]) -> str:
     partial = task.partial
     out = None if task.video is None else partial / (VIDEO if task.video else BAG)
     args = Namespace(**{**vars(task.args), 'recording': task.recording, 'out': out,
-                        'trajectory': partial / TRAJECTORY, 'force': False})
+                        'trajectory': partial / TRAJECTORY, 'force': False,
+                        'report': partial / REPORT if task.args.report else None})
 
     def progress(frames: Iterator[Frame], total: int | None) -> Iterable[Frame]:
         said_s = 0.

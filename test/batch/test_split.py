@@ -14,17 +14,25 @@ import time
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from sph_stab_ros.batch.results import LOCK, manifest_of, PARTIAL, SEGMENTS
 from sph_stab_ros.batch.segments import stretches_of
 from sph_stab_ros.evaluation.alignment import align_trajectories
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.evaluation.runs import compare
-from sph_stab_ros.geometry.trajectory import read_tum
+from sph_stab_ros.geometry.trajectory import read_tum, Trajectory
 from sph_stab_ros.recording import open_recording
+from sph_stab_ros.recording.base import Stretch
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.recording_loop import stabilize_recording
+from sph_stab_ros.tracking.base import TrackedOrientation
+from sph_stab_ros.tracking.offline.joining import join_segments, Segment
 from test_batch import call, start
 from tiny_recordings import START_NS, turning_spheres, write_bag
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
+# So that there are two segments of each.
+SPLIT_S = {'drone': 10, 'handheld': 6}
 PERIOD_S = 0.1
 FRAMES = 160
 
@@ -46,31 +54,41 @@ def write(path, images):
     return write_bag(path, images, START_NS + np.int64(PERIOD_S * 1e9) * np.arange(len(images)))
 
 
-def mean_error_deg(bag, trajectory):
-    """Return the mean error of a trajectory against the truth."""
+def tracked(bag, stretch=Stretch()):
+    """Return what the live tracker finds of a stretch of a bag, as a Segment."""
+    stamps_ns, orientations = [], []
+
+    def keep(stabilized):
+        stamps_ns.append(stabilized.stamp_ns)
+        orientations.append(TrackedOrientation(
+            stabilized.R_world_camera, stabilized.status, stabilized.covariance))
+    stabilize_recording(open_recording(bag, None, *stretch), Stabilizer(), [keep])
+    return Segment(np.array(stamps_ns), orientations)
+
+
+def errors(bag, segment):
+    """Return the figures of a Segment's errors to the truth."""
     recording = open_recording(bag)
     truth = read_truth(recording, find_truth_topic(recording))
-    alignment = align_trajectories(truth, trajectory, None, 0)
-    return compare(truth, trajectory, alignment).summary()['geodesic_deg']['mean']
+    estimate = Trajectory(segment.stamps_ns, Rotation.concatenate(
+        [one.R_world_camera for one in segment.orientations]))
+    return compare(truth, estimate, align_trajectories(truth, estimate, None, 0)).summary()
 
 
-@pytest.mark.thorough
-def test_a_split_recording_is_as_good_as_a_whole_one(tmp_path):
-    """No step at the joint, and about the same error to the truth."""
-    found = {}
-    for name, args in (('whole', ()), ('split', ('--split', '10'))):
-        call(BAGS / 'drone', '--out', tmp_path / name, '--write', 'trajectory', *args)
-        found[name] = read_tum(tmp_path / name / 'drone' / 'trajectory.tum')
-    whole, split = found['whole'], found['split']
-    assert len(manifest_of(tmp_path / 'split' / 'drone')['segments']) == 2
-    np.testing.assert_array_equal(split.stamps_ns, whole.stamps_ns)
-    assert mean_error_deg(BAGS / 'drone', split) <= 1.2 * mean_error_deg(BAGS / 'drone', whole)
-    recording = open_recording(BAGS / 'drone')
-    truth = read_truth(recording, find_truth_topic(recording))
-    alignment = align_trajectories(truth, whole, None, 0)
-    errors = {name: compare(truth, one, alignment) for name, one in found.items()}
-    steps = {name: one.summary()['per_frame_deg']['max'] for name, one in errors.items()}
-    assert steps['split'] <= steps['whole'] + 0.02
+@pytest.mark.slow
+def test_segments_are_together_as_good_as_one_run():
+    """No step at the joint, and about the same errors to the truth, over two flights."""
+    means = []
+    for name in ('drone', 'handheld'):
+        bag = BAGS / name
+        found = tracked(bag), join_segments(
+            [tracked(bag, stretch) for stretch in stretches_of(bag, None, SPLIT_S[name])])
+        np.testing.assert_array_equal(*(segment.stamps_ns for segment in found))
+        whole, joined = (errors(bag, segment) for segment in found)
+        assert joined['per_frame_deg']['max'] <= whole['per_frame_deg']['max'] + 0.02
+        means.append([one['geodesic_deg']['mean'] for one in (whole, joined)])
+    whole_deg, joined_deg = np.mean(means, axis=0)
+    assert joined_deg <= 1.2 * whole_deg
 
 
 @pytest.mark.parametrize('write_as', ['trajectory', 'bag'])
