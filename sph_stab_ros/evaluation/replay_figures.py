@@ -57,8 +57,10 @@ def steps_figure(log: ReplayLog) -> Figure:
     panel = figure.subplots()
     for label, colour, R in (('recorded', RECORDED, log.R_world_camera),
                              ('shown', SHOWN, log.R_world_virtual)):
-        panel.plot(log.time_s[1:], np.rad2deg((R[:-1].inv() * R[1:]).magnitude()),
-                   color=colour, linewidth=1, label=label)
+        # Of the first one from itself, since a replay may have but one frame.
+        steps = R[[0, *range(len(R) - 1)]].inv() * R
+        panel.plot(log.time_s, np.rad2deg(steps.magnitude()), color=colour, linewidth=1,
+                   label=label)
     panel.set_ylabel('step [deg]')
     panel.set_ylim(bottom=0)
     figure.legend(loc='outside upper right', ncols=2)

@@ -96,7 +96,9 @@ def test_all_pictures_are_in_the_result_once(turning, tmp_path, write_as):
     """Whether or not the recording is read again for its pictures."""
     images, R_world_camera = turning
     bag, out = write(tmp_path / 'bag', images), tmp_path / 'out'
-    call(bag, '--out', out, '--write', write_as, '--split', '10', '--smoothing', 'follow')
+    call(bag, '--out', out, '--write', write_as, '--split', '10', '--smoothing', 'follow',
+         '--report')
+    assert (out / 'bag' / 'report.html').read_text().startswith('<!DOCTYPE html>')
     assert manifest_of(out / 'bag')['frames'] == FRAMES
     trajectory = read_tum(out / 'bag' / 'trajectory.tum')
     np.testing.assert_array_equal(
