@@ -11,6 +11,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 import math
 from pathlib import Path
 import re
@@ -23,6 +24,7 @@ import numpy as np
 from sph_stab_ros.command_line import (
     add_imu_topic, add_recording, check_stretch, frames_to_read, is_cut, open_given, Parser, run,
     told_once)
+from sph_stab_ros.command_line.film import add_film, check_film, FILM_OPTIONS
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
@@ -34,13 +36,16 @@ from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording, STANDARD_INPUT
 from sph_stab_ros.recording.partial_output import partial_output
+from sph_stab_ros.stabilization.directions import (
+    DirectionPath, read_directions, recorded_directions)
 from sph_stab_ros.stabilization.offline import looking_ahead, offline_stabilizer
 from sph_stab_ros.stabilization.outputs import configured_camera, draw_sphere, draw_view
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import (
     FrameProcessor, stabilize_recording, Summary)
-from sph_stab_ros.stabilization.sinks import bag_sink, Sink, trajectory_sink, video_sink
+from sph_stab_ros.stabilization.sinks import (
+    bag_sink, Sink, stills_sink, trajectory_sink, video_sink)
 from sph_stab_ros.tracking import make_tracker, MakeTracker
 
 from tqdm import tqdm
@@ -48,28 +53,46 @@ from tqdm.contrib.logging import logging_redirect_tqdm
 
 # Beside the node's parameters.
 REPORTED_FLAGS = ('image_topic', 'imu_topic', 'start', 'end', 'max_frames', 'offline', 'view',
-                  'side_by_side')
+                  *FILM_OPTIONS)
 VIDEO_SUFFIXES = ('.mp4', '.mov')
 # Passes on frames, or what is left of them, of which so many are expected if that is known, and
 # may tell of it.
 Progress: TypeAlias = Callable[[Iterator[Any], int | None], Iterable[Any]]
 
 
-def output_sink(args: Namespace, settings: Settings, recording: Recording, stack: ExitStack
-                ) -> Sink:
-    """Return the sink for OUT."""
+def output_sinks(args: Namespace, settings: Settings, recording: Recording, stack: ExitStack
+                 ) -> Iterator[Sink]:
+    """Yield the sinks for OUT, and for what is written beside it."""
     if args.out.suffix not in VIDEO_SUFFIXES:
-        return bag_sink(args.out, args.force, stack, settings)
+        yield bag_sink(args.out, args.force, stack, settings)
+        return
     config = settings.config
     name = viewed(args.view) if args.view else config.views[0]
     camera = configured_camera(name, settings.views[name])
+    directions = directions_of(args, recording)
+    is_sphere = not (args.side_by_side or args.view or directions)
 
     def picture(s: StabilizedFrame) -> Image:
-        if args.side_by_side:
-            return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
-        return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
-    return video_sink(args.out, args.force, stack, recording, not is_cut(args), picture,
-                      spheres=not (args.side_by_side or args.view))
+        if is_sphere:
+            return draw_sphere(s, config)
+        now = camera if directions is None else replace(
+            camera, look=replace(camera.look, R_virtual_view=directions(s.frame)))
+        return (side_by_side(s, now.look.R_virtual_view, now.look.hfov_rad) if args.side_by_side
+                else draw_view(s, config, now))
+    yield video_sink(args.out, args.force, stack, recording, not is_cut(args), picture, is_sphere,
+                     args.encoder, args.hyperlapse or 1)
+    if args.stills:
+        yield stills_sink(args.out.with_name(f'{args.out.stem}_stills'), args.force, stack,
+                          args.stills, picture)
+
+
+def directions_of(args: Namespace, recording: Recording) -> DirectionPath | None:
+    """Return where the view looks, None where it does not turn."""
+    if args.directions is None:
+        return None
+    if args.direction_path is not None:
+        return DirectionPath(args.direction_path)
+    return DirectionPath(recorded_directions(recording, args.directions), by_clock=True)
 
 
 def report(summary: Summary, config: StabilizerConfig, elapsed_s: float) -> Iterator[str]:
@@ -126,8 +149,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument('--offline', action='store_true',
                         help='as good as can be, by what comes later too, instead of as the node '
                         'does it')
-    parser.add_argument('--side-by-side', action='store_true',
-                        help='a video of sphere, front and back view, recorded and stabilised')
+    add_film(parser)
     group = add_parameters(
         parser, 'All count as in the node but those of topics and of steering')
     group.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', action=SetParameters,
@@ -150,6 +172,12 @@ def given_settings(parser: Parser, args: Namespace) -> Settings:
     if args.view and viewed(args.view) not in settings.views:
         parser.error(f"--view: '{viewed(args.view)}' is none of the views: "
                      f'{", ".join(settings.views)}')
+    args.direction_path = None
+    if args.directions and args.directions.endswith(('.yaml', '.yml')):
+        try:
+            args.direction_path = read_directions(Path(args.directions))
+        except ConfigError as error:
+            parser.error(f'--directions: {error}')
     if args.offline and settings.config.tracker.estimator != ANCHORED:
         parser.error(f"--offline needs the estimator '{ANCHORED}'")
     return settings
@@ -169,12 +197,12 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     add_options(parser)
     # OUT may stand behind options too.
     args = parser.parse_intermixed_args(argv)
-    if args.out is None and (args.view or args.side_by_side):
-        parser.error('--view and --side-by-side need OUT')
+    if args.out is None and args.view:
+        parser.error('--view needs OUT')
     if args.out is not None and args.out.suffix not in ('', *VIDEO_SUFFIXES):
         parser.error(f"OUT is a folder for a bag, or ends in .mp4 or .mov: not '{args.out}'")
-    if args.side_by_side and not args.out.suffix:
-        parser.error('--side-by-side needs an .mp4 or .mov as OUT')
+    check_film(parser, args, args.out is not None and bool(args.out.suffix),
+               'an .mp4 or .mov as OUT')
     check_stretch(parser, args)
     if args.offline and args.recording == STANDARD_INPUT:
         parser.error('--offline reads twice, which a pipe cannot be')
@@ -232,7 +260,7 @@ def write_outputs(args: Namespace, settings: Settings, progress: Progress, sinks
         if args.trajectory:
             sinks.append(trajectory_sink(args.trajectory, args.force, stack))
         if args.out:
-            sinks.append(output_sink(args, settings, recording, stack))
+            sinks.extend(output_sinks(args, settings, recording, stack))
         if args.offline:
             # What one reading has told of the next ones need not tell again.
             stack.enter_context(told_once())

@@ -27,6 +27,7 @@ from sph_stab_ros.batch.segments import failure_of, is_done, segment_tasks
 from sph_stab_ros.batch.tables import evaluation_lines, failure_lines
 from sph_stab_ros.batch.tasks import Outcome, Task
 from sph_stab_ros.command_line import add_selection, check_stretch, Parser, run
+from sph_stab_ros.command_line.film import check_film, FILM_OPTIONS
 from sph_stab_ros.config import ANCHORED, IMU, Settings
 from sph_stab_ros.config.options import with_option
 from sph_stab_ros.recording import RecordingError
@@ -34,6 +35,8 @@ from sph_stab_ros.replay import add_options, given_settings
 
 # Whether a video is written, or a bag, or neither.
 WRITTEN = {'mp4': True, 'bag': False, 'trajectory': None}
+# Parts of what a result is of where they are given.
+OTHER_OPTIONS = ('start', 'end', 'offline', 'report', 'split', 'direction_path', *FILM_OPTIONS)
 # More than a replay takes of pictures 3840 wide, see docs/scale.md.
 MEMORY_MB = 2000
 MIN_MEMORY_MB = 500
@@ -47,7 +50,7 @@ def batch(args: Namespace, settings: Settings) -> None:
     options = options_of(settings, {name: getattr(args, name) for name in (
         'write', 'image_topic', 'imu_topic', 'max_frames', 'side_by_side', 'view')}
         # So that results of those who know of no other way are still the same.
-        | {name: getattr(args, name) for name in ('start', 'end', 'offline', 'report', 'split')
+        | {name: getattr(args, name) for name in OTHER_OPTIONS
            if getattr(args, name) not in (None, False, 0., math.inf)})
     entries = list(make_plan(recordings, args.out, options, evaluate=args.evaluate,
                              force=args.force, retry=args.retry))
@@ -163,8 +166,7 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     check_stretch(parser, args)
     if args.scheduler and args.jobs:
         parser.error('--jobs is for this machine; a cluster has the workers that it has')
-    if args.side_by_side and args.write != 'mp4':
-        parser.error('--side-by-side needs --write mp4')
+    check_film(parser, args, args.write == 'mp4', '--write mp4')
     if args.view and args.write == 'trajectory':
         parser.error('--view needs --write mp4 or bag')
     settings = given_settings(parser, args)

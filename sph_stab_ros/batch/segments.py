@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.batch.results import manifest_of, TRAJECTORY
+from sph_stab_ros.batch.results import manifest_of
 from sph_stab_ros.batch.tasks import Outcome, Task
 from sph_stab_ros.config import LOCK
 from sph_stab_ros.config.options import with_option
@@ -39,8 +39,8 @@ from sph_stab_ros.tracking.base import TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.offline.joining import join_segments, JoiningError, Segment
 from sph_stab_ros.tracking.offline.two_passes import KnownOrientations
 
-# How much of two segments is the same: the half, as long as that is less. Over 1.5 s of bags/drone,
-# of which the second tracker needs a part to begin, they were joined 0.1 deg wrong, over 5 s 0.02.
+# How much of two segments is the same: half, as long as that is less. The second tracker needs a
+# part of it to begin: joined over 1.5 s bags/drone is 1.5 to 2 times as wrong as in one run.
 OVERLAP_S = 10.
 OVERLAP_SHARE = 0.5
 # For the rate of a recording's pictures.
@@ -97,7 +97,7 @@ def track_segment(task: Task, args: Namespace, progress: Progress) -> tuple[Summ
     """Track a segment and write its orientations down; return what ``replay`` does."""
     assert task.stretch is not None
     args = Namespace(**{**vars(args), 'start': task.stretch.start_s, 'end': task.stretch.end_s,
-                        'out': None, 'trajectory': None, 'report': None, 'view': None, 'side_by_side': False})
+                        'out': None, 'trajectory': None, 'report': None})
     # Only the orientations are asked for.
     settings = replace(task.settings, config=with_option(
         task.settings.config, 'smoothing.mode', LOCK))

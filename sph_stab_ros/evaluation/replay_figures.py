@@ -58,7 +58,7 @@ def steps_figure(log: ReplayLog) -> Figure:
     for label, colour, R in (('recorded', RECORDED, log.R_world_camera),
                              ('shown', SHOWN, log.R_world_virtual)):
         # Of the first one from itself, since a replay may have but one frame.
-        steps = R[[0, *range(len(R) - 1)]].inv() * R
+        steps = R[np.maximum(np.arange(len(R)) - 1, 0)].inv() * R
         panel.plot(log.time_s, np.rad2deg(steps.magnitude()), color=colour, linewidth=1,
                    label=label)
     panel.set_ylabel('step [deg]')

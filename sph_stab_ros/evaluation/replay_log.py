@@ -47,9 +47,9 @@ class ReplayLog:
         self._camera.append(stabilized.R_world_camera.as_quat())
         self._virtual.append(stabilized.R_world_virtual.as_quat())
         if number % self._every == 0:
-            recorded = stabilized.seen_along(Rotation.identity())
-            self.thumbnails.append(
-                ((self._times_ns[-1] - self._times_ns[0]) / NS_PER_S, _reduced(recorded), _reduced(stabilized.sphere())))
+            recorded, shown = stabilized.seen_along(Rotation.identity()), stabilized.sphere()
+            elapsed_s = (self._times_ns[-1] - self._times_ns[0]) / NS_PER_S
+            self.thumbnails.append((elapsed_s, _reduced(recorded), _reduced(shown)))
             if len(self.thumbnails) > MOST_THUMBNAILS:
                 del self.thumbnails[1::2]
                 self._every *= 2

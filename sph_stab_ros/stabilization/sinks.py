@@ -11,13 +11,16 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cache
+from itertools import count
 import logging
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from sph_stab_ros.config import Settings
+from sph_stab_ros.config import EncoderConfig, Settings
 from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.trajectory import tum_line
+from sph_stab_ros.images.codec import encode_jpeg
 from sph_stab_ros.recording import Recording
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.outputs import (
@@ -26,6 +29,8 @@ from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 
 logger = logging.getLogger(__name__)
 
+STILL_QUALITY = 95
+ROUNDING_S = 0.0005
 # Writes a frame down.
 Sink: TypeAlias = Callable[[StabilizedFrame], Any]
 
@@ -37,14 +42,46 @@ def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
 
 
 def video_sink(path: Path, force: bool, stack: ExitStack, recording: Recording, is_all: bool,
-               picture: Callable[[StabilizedFrame], Image], spheres: bool) -> Sink:
-    """Return a sink that writes ``picture(stabilized)`` into a video file, with the sound."""
+               picture: Callable[[StabilizedFrame], Image], spheres: bool,
+               encoder: EncoderConfig = EncoderConfig(), speed: int = 1) -> Sink:
+    """
+    Return a sink that writes ``picture(stabilized)`` into a video file, with the sound.
+
+    Of every ``speed`` frames one is shown, so many times as fast; then there is no sound.
+    """
     from sph_stab_ros.recording.video import VideoRecording
     from sph_stab_ros.recording.video_writer import VideoWriter
-    sound = recording.sound_path if isinstance(recording, VideoRecording) else None
+    sound = (recording.sound_path if isinstance(recording, VideoRecording) and speed == 1
+             else None)
     writer = stack.enter_context(VideoWriter(
-        stack.enter_context(partial_output(path, force)), spheres, sound, is_all))
-    return lambda s: writer.write(picture(s), s.frame.time_ns, s.frame.colour)
+        stack.enter_context(partial_output(path, force)), spheres, sound, is_all, encoder))
+    numbers = count()
+
+    def write(s: StabilizedFrame) -> None:
+        if next(numbers) % speed == 0:
+            writer.write(picture(s), s.frame.time_ns // speed, s.frame.colour)
+    return write
+
+
+def stills_sink(folder: Path, force: bool, stack: ExitStack, every_s: float,
+                picture: Callable[[StabilizedFrame], Image]) -> Sink:
+    """Return a sink that writes a picture now and then, by the seconds from the first frame on."""
+    path = stack.enter_context(partial_output(folder, force))
+    path.mkdir()
+    first_ns: int | None = None
+    written = 0
+
+    def write(s: StabilizedFrame) -> None:
+        nonlocal first_ns, written
+        first_ns = s.frame.time_ns if first_ns is None else first_ns
+        elapsed_s = (s.frame.time_ns - first_ns) / NS_PER_S
+        # Times that were rounded are not too early.
+        due = 1 + int((elapsed_s + ROUNDING_S) // every_s)
+        if written < due:
+            written = due
+            data = encode_jpeg(picture(s), STILL_QUALITY)
+            (path / f'{elapsed_s:010.3f}.jpg').write_bytes(data.tobytes())
+    return write
 
 
 def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:

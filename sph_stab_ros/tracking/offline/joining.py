@@ -50,7 +50,7 @@ def join_segments(segments: Sequence[Segment]) -> Segment:
 
 def join(first: Segment, second: Segment) -> Segment:
     """
-    Return the Segment of the frames of two, the first of which ends in what the second begins with.
+    Return the Segment of the frames of two: the end of the first is the start of the second.
 
     Of frames behind the overlap the covariance is the second's, and besides that of its world in
     the first's: what the first one says there, and what both differ by. Where there is no frame
