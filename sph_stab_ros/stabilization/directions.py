@@ -16,7 +16,6 @@ are the same, and keeps the horizon level. Before the first and behind the last 
 """
 
 from collections.abc import Sequence
-import math
 from pathlib import Path
 
 import numpy as np
@@ -30,8 +29,10 @@ from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.messages import QUATERNION
-from sph_stab_ros.stabilization.steering import MAX_PITCH_RAD, view_angles
+from sph_stab_ros.stabilization.steering import view_angles
 
+# More are none: 30 years, and a thousand turns.
+MAX_TIME_S, MAX_YAW_DEG = 1e9, 360e3
 KEYS = {'time_s', 'yaw_deg', 'pitch_deg'}
 
 
@@ -56,10 +57,11 @@ def read_directions(path: Path) -> list[list[float]]:
         if not isinstance(item, dict) or not {'time_s', 'yaw_deg'} <= {*item} <= KEYS:
             raise ConfigError(f'{path}, direction {number}: time_s, yaw_deg and pitch_deg are it')
         row = [item['time_s'], item['yaw_deg'], item.get('pitch_deg', 0)]
-        if not all(type(one) in (int, float) and math.isfinite(one) for one in row):
-            raise ConfigError(f'{path}, direction {number}: not all are numbers')
-        if abs(row[2]) > np.rad2deg(MAX_PITCH_RAD):
-            raise ConfigError(f'{path}, direction {number}: pitch_deg is within 90')
+        # Written so that NaN fails too.
+        if not all(type(one) in (int, float) and abs(one) <= limit
+                   for one, limit in zip(row, (MAX_TIME_S, MAX_YAW_DEG, 90))):
+            raise ConfigError(f'{path}, direction {number}: not all are numbers, of 90 degrees of '
+                              'pitch at most')
         if rows and row[0] <= rows[-1][0]:
             raise ConfigError(f'{path}, direction {number}: time_s is not later than before')
         rows.append(row)

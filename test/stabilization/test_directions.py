@@ -106,7 +106,9 @@ def test_directions_in_a_bag_are_of_the_time_of_their_stamps(tmp_path):
     ('[{time_s: 1, yaw_deg: 0, roll_deg: 1}]', 'direction 1: time_s'),
     ('[{time_s: 1, yaw_deg: left}]', 'not all are numbers'),
     ('[{time_s: 1, yaw_deg: .nan}]', 'not all are numbers'),
-    ('[{time_s: 1, yaw_deg: 0, pitch_deg: 91}]', 'within 90'),
+    ('[{time_s: 1, yaw_deg: 0, pitch_deg: 91}]', '90 degrees of pitch at most'),
+    ('[{time_s: 1e308, yaw_deg: 0}]', 'not all are numbers'),
+    ('[{time_s: 1' + 400 * '0' + ', yaw_deg: 0}]', 'not all are numbers'),
     ('[{time_s: 1, yaw_deg: 0}, {time_s: 1, yaw_deg: 1}]', 'direction 2: time_s is not later')])
 def test_what_is_no_list_of_directions_is_refused(text, reason, tmp_path):
     """With the number of the one that is wrong."""
