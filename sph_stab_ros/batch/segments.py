@@ -39,13 +39,15 @@ from sph_stab_ros.tracking.base import TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.offline.joining import join_segments, JoiningError, Segment
 from sph_stab_ros.tracking.offline.two_passes import KnownOrientations
 
-# How much of two segments is the same: half, as long as that is less. The second tracker needs a
-# part of it to begin: joined over 1.5 s bags/drone is 1.5 to 2 times as wrong as in one run.
-OVERLAP_S = 10.
+# How much of two segments is the same: half, as long as that is less. So long that slow errors of
+# either average out: at four places of a long flight what followed was 1.5, 1.05 and 0.93 times as
+# wrong as in one run after 10, 20 and 30 s.
+OVERLAP_S = 30.
 OVERLAP_SHARE = 0.5
 # For the rate of a recording's pictures.
 FIRST_PICTURES = 31
 ORIENTATIONS = 'orientations.npz'
+CHANGED = 'its pictures are not those that were tracked before: the recording has changed'
 
 
 def stretches_of(path: Path, image_topic: str | None, split_s: float) -> list[Stretch]:
@@ -129,8 +131,15 @@ def join_tracked(task: Task, args: Namespace, progress: Progress) -> tuple[Summa
     except JoiningError as error:
         raise RecordingError(f'{error}: it cannot be split') from None
     if args.out or args.report:
-        return replay(args, task.settings, progress,
-                      known_tracker=lambda *_: KnownOrientations(joined.orientations))
+        try:
+            summary, lines = replay(
+                args, task.settings, progress,
+                known_tracker=lambda *_: KnownOrientations(joined.orientations))
+        except StopIteration:
+            raise RecordingError(CHANGED) from None
+        if summary.frames < len(joined.orientations):
+            raise RecordingError(CHANGED)
+        return summary, lines
     rotations = Rotation.concatenate([one.R_world_camera for one in joined.orientations])
     write_tum(args.trajectory, Trajectory(joined.stamps_ns, rotations))
     summary = Summary(

@@ -8,6 +8,7 @@
 
 """The option --split of batch: segments in parallel, joined to what one run would have found."""
 
+from argparse import Namespace
 from pathlib import Path
 import signal
 import time
@@ -15,17 +16,19 @@ import time
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from sph_stab_ros.batch.__main__ import arguments
 from sph_stab_ros.batch.results import LOCK, manifest_of, PARTIAL, SEGMENTS
-from sph_stab_ros.batch.segments import stretches_of
+from sph_stab_ros.batch.segments import join_tracked, ORIENTATIONS, save, stretches_of
+from sph_stab_ros.batch.tasks import Task
 from sph_stab_ros.evaluation.alignment import align_trajectories
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
 from sph_stab_ros.evaluation.runs import compare
 from sph_stab_ros.geometry.trajectory import read_tum, Trajectory
-from sph_stab_ros.recording import open_recording
+from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.base import Stretch
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
-from sph_stab_ros.tracking.base import TrackedOrientation
+from sph_stab_ros.tracking.base import TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.offline.joining import join_segments, Segment
 from test_batch import call, start
 from tiny_recordings import START_NS, turning_spheres, write_bag
@@ -157,3 +160,19 @@ def test_a_segment_that_fails_is_the_reason(images, tmp_path, capsys):
     call(*args, expect=1)
     again = capsys.readouterr().out
     assert again.splitlines()[-1] == table and '1 done, 1 failed' in again
+
+
+@pytest.mark.parametrize('count', [FRAMES - 10, FRAMES + 10])
+def test_a_recording_that_changes_meanwhile_is_told(images, tmp_path, count):
+    """Fewer pictures or more than were tracked."""
+    bag = write(tmp_path / 'bag', images)
+    args, settings = arguments([str(bag), '--out', str(tmp_path / 'out'), '--write', 'bag'])
+    task = Task('bag', bag, tmp_path / 'out', {}, args, settings, False, evaluate=False,
+                track=True, memory_mb=2000, segments=(tmp_path,))
+    rotations = Rotation.identity(count)
+    save(tmp_path / ORIENTATIONS, Segment(
+        np.arange(count), [TrackedOrientation(R, TrackingStatus.OK) for R in rotations]))
+    args = Namespace(**{**vars(args), 'recording': bag, 'out': tmp_path / 'made', 'report': None,
+                        'trajectory': None, 'force': False})
+    with pytest.raises(RecordingError, match='the recording has changed'):
+        join_tracked(task, args, lambda frames, total: frames)
