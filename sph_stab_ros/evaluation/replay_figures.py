@@ -34,7 +34,8 @@ def figures(log: ReplayLog) -> Iterator[tuple[str, Figure]]:
            'both as far as the orientation found is right.', steps_figure(log))
     yield ('One standard deviation of the orientation; from the dashed line on it is uncertain. '
            'Shaded: frames of which the status is not ok.', uncertainty_figure(log))
-    yield 'Where the middle of the picture looks in the world.', directions_figure(log)
+    yield 'Where the middle of the picture looks in the world, to the right positive.', (
+        directions_figure(log))
 
 
 def orientation_figure(log: ReplayLog) -> Figure:
