@@ -73,7 +73,7 @@ def evaluate(args: Namespace, configs: Configs) -> None:
     frames = frames_to_read(recording, args.max_frames)
     if args.plots:
         make_folder(args.plots)
-        see_that_figures_can_be_drawn()
+        see_that_figures_can_be_drawn('--plots')
     if args.tum:
         make_folder(args.tum)
 

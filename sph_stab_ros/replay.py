@@ -11,8 +11,8 @@
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from functools import cache
-import logging
+from dataclasses import replace
+import math
 from pathlib import Path
 import re
 import sys
@@ -24,92 +24,75 @@ import numpy as np
 from sph_stab_ros.command_line import (
     add_imu_topic, add_recording, check_stretch, frames_to_read, is_cut, open_given, Parser, run,
     told_once)
+from sph_stab_ros.command_line.film import add_film, check_film, FILM_OPTIONS
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
+from sph_stab_ros.evaluation.outputs import see_that_figures_can_be_drawn
 from sph_stab_ros.geometry.arrays import Image
-from sph_stab_ros.geometry.trajectory import tum_line
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording, STANDARD_INPUT
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.stabilization.offline import offline_stabilizer
-from sph_stab_ros.stabilization.outputs import (
-    configured_camera, draw_sphere, draw_view, fits_into_tree, orientation_outputs,
-    picture_outputs)
+from sph_stab_ros.stabilization.directions import (
+    DirectionPath, read_directions, recorded_directions)
+from sph_stab_ros.stabilization.offline import looking_ahead, offline_stabilizer
+from sph_stab_ros.stabilization.outputs import configured_camera, draw_sphere, draw_view
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import (
     FrameProcessor, stabilize_recording, Summary)
+from sph_stab_ros.stabilization.sinks import (
+    bag_sink, Sink, stills_sink, trajectory_sink, video_sink)
+from sph_stab_ros.tracking import make_tracker, MakeTracker
 
 from tqdm import tqdm
 from tqdm.contrib.logging import logging_redirect_tqdm
 
-logger = logging.getLogger(__name__)
-
+# Beside the node's parameters.
+REPORTED_FLAGS = ('image_topic', 'imu_topic', 'start', 'end', 'max_frames', 'offline', 'view',
+                  *FILM_OPTIONS)
 VIDEO_SUFFIXES = ('.mp4', '.mov')
-# Writes a frame down.
-Sink: TypeAlias = Callable[[StabilizedFrame], Any]
 # Passes on frames, or what is left of them, of which so many are expected if that is known, and
 # may tell of it.
 Progress: TypeAlias = Callable[[Iterator[Any], int | None], Iterable[Any]]
 
 
-def trajectory_sink(path: Path, force: bool, stack: ExitStack) -> Sink:
-    """Return a sink that writes ``R_world_camera`` into a TUM file."""
-    file = stack.enter_context(open(stack.enter_context(partial_output(path, force)), 'w'))
-    return lambda s: file.write(tum_line(s.stamp_ns, s.R_world_camera))
-
-
-def video_sink(args: Namespace, recording: Recording, stack: ExitStack,
-               picture: Callable[[StabilizedFrame], Image], spheres: bool) -> Sink:
-    """Return a sink that writes ``picture(stabilized)`` into a video file."""
-    from sph_stab_ros.recording.video import VideoRecording
-    from sph_stab_ros.recording.video_writer import VideoWriter
-    sound = recording.sound_path if isinstance(recording, VideoRecording) else None
-    writer = stack.enter_context(VideoWriter(
-        stack.enter_context(partial_output(args.out, args.force)), spheres, sound,
-        is_all=not is_cut(args)))
-    return lambda s: writer.write(picture(s), s.frame.time_ns, s.frame.colour)
-
-
-def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:
-    """Return a sink that writes what the node publishes, but raw images, into a rosbag2 folder."""
-    from sph_stab_ros.recording.bag_writer import BagWriter
-    writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
-    config = settings.config
-    cameras = [configured_camera(name, view) for name, view in settings.views.items()]
-
-    @cache
-    def say_that_tree_is_missing(frame_id: str) -> None:
-        logger.warning("no /tf in %s: the pictures have the frame_id '%s'", path, frame_id)
-
-    def write(s: StabilizedFrame) -> None:
-        if config.publish_tf and not fits_into_tree(s.frame.frame_id, config, cameras):
-            say_that_tree_is_missing(s.frame.frame_id)
-        for output in (*orientation_outputs(s, config, cameras),
-                       *picture_outputs(s, config, cameras, raw=False)):
-            writer.write(output.topic, output.message(writer.make), s.frame.time_ns)
-    return write
-
-
-def output_sink(args: Namespace, settings: Settings, recording: Recording, stack: ExitStack
-                ) -> Sink:
-    """Return the sink for OUT."""
+def output_sinks(args: Namespace, settings: Settings, recording: Recording, stack: ExitStack
+                 ) -> Iterator[Sink]:
+    """Yield the sinks for OUT, and for what is written beside it."""
     if args.out.suffix not in VIDEO_SUFFIXES:
-        return bag_sink(args.out, args.force, stack, settings)
+        yield bag_sink(args.out, args.force, stack, settings)
+        return
     config = settings.config
     name = viewed(args.view) if args.view else config.views[0]
     camera = configured_camera(name, settings.views[name])
+    directions = directions_of(args, recording)
+    is_sphere = not (args.side_by_side or args.view or directions)
 
     def picture(s: StabilizedFrame) -> Image:
-        if args.side_by_side:
-            return side_by_side(s, camera.look.R_virtual_view, camera.look.hfov_rad)
-        return draw_view(s, config, camera) if args.view else draw_sphere(s, config)
-    return video_sink(args, recording, stack, picture,
-                      spheres=not (args.side_by_side or args.view))
+        if is_sphere:
+            return draw_sphere(s, config)
+        now = camera if directions is None else replace(
+            camera, look=replace(camera.look, R_virtual_view=directions(s.frame)))
+        return (side_by_side(s, now.look.R_virtual_view, now.look.hfov_rad) if args.side_by_side
+                else draw_view(s, config, now))
+    yield video_sink(args.out, args.force, stack, recording, not is_cut(args), picture, is_sphere,
+                     args.encoder, args.hyperlapse or 1)
+    if args.stills:
+        yield stills_sink(args.out.with_name(f'{args.out.stem}_stills'), args.force, stack,
+                          args.stills, picture)
+
+
+def directions_of(args: Namespace, recording: Recording) -> DirectionPath | None:
+    """Return where the view looks, None where it does not turn."""
+    if args.directions is None:
+        return None
+    if args.direction_path is not None:
+        return DirectionPath(args.direction_path)
+    return DirectionPath(recorded_directions(recording, args.directions), by_clock=True)
 
 
 def report(summary: Summary, config: StabilizerConfig, elapsed_s: float) -> Iterator[str]:
@@ -166,8 +149,7 @@ def add_options(parser: Parser) -> None:
     parser.add_argument('--offline', action='store_true',
                         help='as good as can be, by what comes later too, instead of as the node '
                         'does it')
-    parser.add_argument('--side-by-side', action='store_true',
-                        help='a video of sphere, front and back view, recorded and stabilised')
+    add_film(parser)
     group = add_parameters(
         parser, 'All count as in the node but those of topics and of steering')
     group.add_argument('--view', metavar='YAW,PITCH,ROLL,HFOV', action=SetParameters,
@@ -190,6 +172,12 @@ def given_settings(parser: Parser, args: Namespace) -> Settings:
     if args.view and viewed(args.view) not in settings.views:
         parser.error(f"--view: '{viewed(args.view)}' is none of the views: "
                      f'{", ".join(settings.views)}')
+    args.direction_path = None
+    if args.directions and args.directions.endswith(('.yaml', '.yml')):
+        try:
+            args.direction_path = read_directions(Path(args.directions))
+        except ConfigError as error:
+            parser.error(f'--directions: {error}')
     if args.offline and settings.config.tracker.estimator != ANCHORED:
         parser.error(f"--offline needs the estimator '{ANCHORED}'")
     return settings
@@ -203,27 +191,56 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
                         help='rosbag2 folder, .mp4 or .mov; nothing is warped without it')
     parser.add_argument('--trajectory', metavar='FILE.tum', type=Path,
                         help='write "stamp 0 0 0 qx qy qz qw" of each picture')
+    parser.add_argument('--report', metavar='FILE.html', type=Path,
+                        help='write what happened with figures and pictures, in one file')
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
     add_options(parser)
     # OUT may stand behind options too.
     args = parser.parse_intermixed_args(argv)
-    if args.out is None and (args.view or args.side_by_side):
-        parser.error('--view and --side-by-side need OUT')
+    if args.out is None and args.view:
+        parser.error('--view needs OUT')
     if args.out is not None and args.out.suffix not in ('', *VIDEO_SUFFIXES):
         parser.error(f"OUT is a folder for a bag, or ends in .mp4 or .mov: not '{args.out}'")
-    if args.side_by_side and not args.out.suffix:
-        parser.error('--side-by-side needs an .mp4 or .mov as OUT')
+    check_film(parser, args, args.out is not None and bool(args.out.suffix),
+               'an .mp4 or .mov as OUT')
     check_stretch(parser, args)
     if args.offline and args.recording == STANDARD_INPUT:
         parser.error('--offline reads twice, which a pipe cannot be')
-    paths = [path.resolve() for path in (args.recording, args.out, args.trajectory) if path]
+    paths = [path.resolve() for path in (
+        args.recording, args.out, args.trajectory, args.report) if path]
     if len(set(paths)) < len(paths):
-        parser.error('IN, OUT and --trajectory must be different files')
+        parser.error('IN, OUT, --trajectory and --report must be different files')
     return args, given_settings(parser, args)
 
 
-def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Summary, list[str]]:
-    """Do what a parsed command line says; return the Summary, and lines that tell of it."""
+def replay(args: Namespace, settings: Settings, progress: Progress, sinks: Sequence[Sink] = (),
+           pictures: bool = False, known_tracker: MakeTracker | None = None
+           ) -> tuple[Summary, list[str]]:
+    """
+    Do what a parsed command line says; return the Summary, and lines that tell of it.
+
+    ``sinks`` take in the frames besides, with ``pictures`` or not. Where the orientations are
+    known already, a ``known_tracker`` tells them.
+    """
+    if args.report is None:
+        return write_outputs(args, settings, progress, sinks, pictures, known_tracker)
+    see_that_figures_can_be_drawn('--report')
+    from sph_stab_ros.evaluation.replay_log import ReplayLog
+    from sph_stab_ros.evaluation.replay_report import page
+    with partial_output(args.report, args.force) as path:
+        log = ReplayLog()
+        summary, lines = write_outputs(
+            args, settings, progress, [*sinks, log], True, known_tracker)
+        flags = {f'--{name.replace("_", "-")}': getattr(args, name) for name in REPORTED_FLAGS
+                 if getattr(args, name) not in (None, False, 0., math.inf)}
+        path.write_text(page(args.recording.name, log, lines, settings, flags))
+    return summary, lines
+
+
+def write_outputs(args: Namespace, settings: Settings, progress: Progress, sinks: Sequence[Sink],
+                  pictures: bool, known_tracker: MakeTracker | None
+                  ) -> tuple[Summary, list[str]]:
+    """Do what ``replay`` does, but for its report."""
     config = settings.config
     recording = open_given(args)
     imu_topic = find_imu_topic(recording, args.imu_topic) if config.level == IMU else None
@@ -236,19 +253,21 @@ def replay(args: Namespace, settings: Settings, progress: Progress) -> tuple[Sum
         return stabilize_recording(
             recording, processor, sinks, args.max_frames, lambda frames: progress(frames, total),
             # Each time, so that all readings leave out the same.
-            imu, pictures=args.out is not None, watch=watch), imu
+            imu, pictures=pictures or args.out is not None, watch=watch), imu
 
     with ExitStack() as stack:
-        sinks: list[Sink] = []
+        sinks = [*sinks]
         if args.trajectory:
             sinks.append(trajectory_sink(args.trajectory, args.force, stack))
         if args.out:
-            sinks.append(output_sink(args, settings, recording, stack))
+            sinks.extend(output_sinks(args, settings, recording, stack))
         if args.offline:
             # What one reading has told of the next ones need not tell again.
             stack.enter_context(told_once())
-        stabilizer = (offline_stabilizer(config, read, progress) if args.offline
-                      else Stabilizer(config))
+        stabilizer = (
+            Stabilizer(config, known_tracker or make_tracker) if not args.offline else
+            looking_ahead(config, read, known_tracker) if known_tracker else
+            offline_stabilizer(config, read, progress))
         summary, imu = read(stabilizer, sinks, PictureWatch(config))
     lines = list(report(summary, config, time.perf_counter() - start_s))
     if args.out and args.out.suffix and summary.colour and summary.colour.assumed:

@@ -11,5 +11,6 @@ Many recordings stabilised at once: on this machine's cores, or on a cluster.
 
 ``__main__`` is the command, ``discovery`` finds recordings, ``results`` knows which are done and
 puts whole results in their places, ``worker`` is the process in which one recording is stabilised,
-``tasks`` starts it, and ``local`` and ``cluster`` do so for many.
+``tasks`` starts it, and ``local`` and ``cluster`` do so for many; ``segments`` are those of long
+recordings.
 """

@@ -33,7 +33,10 @@ from sph_stab_ros.recording.partial_output import partial_output
 
 MANIFEST, EVALUATION, FAILURES = 'manifest.json', 'evaluation.json', 'failures.json'
 TRAJECTORY, VIDEO, BAG = 'trajectory.tum', 'stabilized.mp4', 'stabilized'
+REPORT = 'report.html'
 PARTIAL, LOCK = '.partial', '.lock'
+# Those of parts of recordings, until they are joined.
+SEGMENTS = '.segments'
 # Of larger files the ends are hashed, and blocks between them.
 WHOLE_BYTES = 64 * 2**20
 BLOCK_BYTES = 2**16
@@ -168,6 +171,6 @@ def results_folder(out: Path) -> Iterator[None]:
         raise RecordingError(f'{out} cannot be written: {error.strerror}') from error
 
 
-def clear(out: Path) -> None:
+def clear(out: Path, folder: str = PARTIAL) -> None:
     """Remove all that is not whole; processes that still write there end when they see it."""
-    shutil.rmtree(out / PARTIAL, ignore_errors=True)
+    shutil.rmtree(out / folder, ignore_errors=True)

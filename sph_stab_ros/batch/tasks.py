@@ -24,8 +24,9 @@ from threading import Lock
 from typing import Any, IO, TypeAlias
 from uuid import uuid4
 
-from sph_stab_ros.batch.results import Identity, PARTIAL
+from sph_stab_ros.batch.results import Identity, PARTIAL, SEGMENTS
 from sph_stab_ros.config import Settings
+from sph_stab_ros.recording.base import Stretch
 
 # Of a process that was killed, which another one may do without.
 RETRIES = 2
@@ -38,7 +39,8 @@ class Task:
 
     ``args`` and ``settings`` are those of ``replay``; ``video`` says whether there is one or a bag
     (None: neither), ``evaluate`` whether the trajectory is compared with truth, ``track`` whether
-    there is anything else to do.
+    there is anything else to do. ``stretch`` is that of a segment, which is tracked and no more;
+    ``segments`` are the results of those that are to be joined.
     """
 
     name: str
@@ -53,6 +55,13 @@ class Task:
     memory_mb: int
     cores: frozenset[int] = frozenset()
     attempt: str = ''
+    stretch: Stretch | None = None
+    segments: tuple[Path, ...] = ()
+
+    @property
+    def result(self) -> Path:
+        """Return the folder of what is whole."""
+        return self.out / (SEGMENTS if self.stretch else '') / self.name
 
     @property
     def partial(self) -> Path:

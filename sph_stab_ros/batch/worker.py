@@ -6,7 +6,11 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The process in which one recording is stabilised: its task on stdin, lines of JSON on stdout."""
+"""
+The process in which one recording, or a segment of it, is stabilised.
+
+Its task is on stdin, on stdout are lines of JSON.
+"""
 
 from argparse import Namespace
 from collections.abc import Iterable, Iterator
@@ -25,7 +29,9 @@ from typing import Any, IO
 import cv2
 
 from sph_stab_ros.batch.results import (
-    BAG, EVALUATION, MANIFEST, publish, TRAJECTORY, VIDEO, write_json)
+    BAG, EVALUATION, MANIFEST, manifest_of, publish, REPORT, TRAJECTORY, VIDEO,
+    write_json)
+from sph_stab_ros.batch.segments import join_tracked, track_segment
 from sph_stab_ros.batch.tasks import Task
 from sph_stab_ros.command_line import is_out_of_memory
 from sph_stab_ros.command_line.process_setup import set_up_process
@@ -70,14 +76,15 @@ def bound(task: Task) -> None:
 def work(task: Task, channel: IO[str]) -> str:
     """Do the task; return a line that tells of it."""
     if not task.track:
-        evaluate(task, task.out / task.name)
+        evaluate(task, task.result)
         return 'evaluated'
     warnings = Warnings()
     logging.getLogger().addHandler(warnings)
     partial = task.partial
     out = None if task.video is None else partial / (VIDEO if task.video else BAG)
     args = Namespace(**{**vars(task.args), 'recording': task.recording, 'out': out,
-                        'trajectory': partial / TRAJECTORY, 'force': False})
+                        'trajectory': partial / TRAJECTORY, 'force': False,
+                        'report': partial / REPORT if task.args.report else None})
 
     def progress(frames: Iterator[Frame], total: int | None) -> Iterable[Frame]:
         said_s = 0.
@@ -90,20 +97,30 @@ def work(task: Task, channel: IO[str]) -> str:
             yield frame
 
     start_s = time.perf_counter()
-    summary, lines = replay(args, task.settings, progress)
+    if task.stretch is not None:
+        summary, lines = track_segment(task, args, progress)
+    elif task.segments:
+        summary, lines = join_tracked(task, args, progress)
+    else:
+        summary, lines = replay(args, task.settings, progress)
     elapsed_s = time.perf_counter() - start_s
     if task.evaluate:
         evaluate(task, partial)
     outputs = {path.relative_to(partial).as_posix(): path.stat().st_size
                for path in sorted(partial.rglob('*'))
                if path.is_file() and path.name != EVALUATION}
+    before = [manifest for manifest in map(manifest_of, task.segments) if manifest]
+    said = (line for manifest in before for line in manifest['warnings'])
     write_json(partial / MANIFEST, {
         'identity': task.identity, 'recording': str(task.recording), 'outputs': outputs,
         'frames': summary.frames, 'statuses': summary.statuses, 'events': summary.events,
-        'left_out': summary.left_out, 'report': lines, 'warnings': warnings.lines,
-        'cost': cost(elapsed_s), 'host': socket.gethostname(),
+        'left_out': summary.left_out, 'report': lines,
+        'warnings': [*dict.fromkeys((*said, *warnings.lines))],
+        'cost': cost(elapsed_s),
+        **({'segments': [manifest['cost'] for manifest in before]} if before else {}),
+        'host': socket.gethostname(),
         'finished': datetime.now(timezone.utc).isoformat(timespec='seconds')})
-    publish(partial, task.out / task.name, task.identity)
+    publish(partial, task.result, task.identity)
     return lines[0]
 
 

@@ -53,10 +53,10 @@ def make_folder(folder: Path) -> None:
         raise RecordingError(f'{folder} cannot be written: {error.strerror}') from error
 
 
-def see_that_figures_can_be_drawn() -> None:
-    """Raise RecordingError if they cannot."""
+def see_that_figures_can_be_drawn(flag: str) -> None:
+    """Raise RecordingError if those that a flag asks for cannot."""
     try:
         importlib.import_module('matplotlib')
     except ImportError:
         raise RecordingError(
-            "--plots needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None
+            f"{flag} needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None

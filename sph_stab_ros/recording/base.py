@@ -28,6 +28,10 @@ class RecordingError(Exception):
     """A recording that cannot be read or written, said in one line."""
 
 
+class EmptyStretch(RecordingError):
+    """A recording has no picture in the stretch that was asked for."""
+
+
 class Stretch(NamedTuple):
     """A part of a recording, in seconds from its first picture on, which is before the end."""
 

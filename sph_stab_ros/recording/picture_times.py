@@ -19,7 +19,7 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
 from sph_stab_ros.images.times import (
     MAX_DELAY_NS, MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock)
-from sph_stab_ros.recording.base import RecordingError, Stretch
+from sph_stab_ros.recording.base import EmptyStretch, Stretch
 
 logger = logging.getLogger(__name__)
 
@@ -60,7 +60,7 @@ def within(name: str, timed: Iterable[tuple[PictureTime, Item]], stretch: Stretc
     Yield those of a recording's pictures, with their times, that are in a Stretch.
 
     ``first_ns`` is the time of the recording's first picture where these begin later.
-    RecordingError where the recording ends before.
+    EmptyStretch where the recording ends before.
     """
     if stretch == Stretch():
         yield from timed
@@ -75,9 +75,9 @@ def within(name: str, timed: Iterable[tuple[PictureTime, Item]], stretch: Stretc
             found = True
             yield times, item
     if not found and first_ns is not None:
-        raise RecordingError(f'{name} has no picture from {stretch.start_s:g} s '
-                             + (f'to {stretch.end_s:g} s' if stretch.end_s < math.inf else 'on')
-                             + f', the last one read is at {elapsed_ns / NS_PER_S:.3f} s')
+        raise EmptyStretch(f'{name} has no picture from {stretch.start_s:g} s '
+                           + (f'to {stretch.end_s:g} s' if stretch.end_s < math.inf else 'on')
+                           + f', the last one read is at {elapsed_ns / NS_PER_S:.3f} s')
 
 
 def first_stamp(stamps: Iterable[Stamp]) -> Stamp | None:

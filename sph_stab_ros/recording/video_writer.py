@@ -11,12 +11,14 @@
 from fractions import Fraction
 import logging
 import math
+import os
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from sph_stab_ros.config import EncoderConfig
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.colour import Colour, from_bgr, STANDARD
@@ -35,13 +37,15 @@ TIME_BASE = Fraction(1, 90000)
 # Only a hint for the encoder; each picture has its own time.
 NOMINAL_RATE = 30
 PIXEL_FORMAT = 'yuv420p'
-# Visually lossless at the smallest cost in time.
-ENCODER_OPTIONS = {'crf': '20', 'preset': 'veryfast'}
+# FFmpeg's encoders, what they are told besides, and the tag by which players know a stream.
+ENCODERS = {'h264': ('libx264', {}, ''),
+            'h265': ('libx265', {'x265-params': 'log-level=error'}, 'hvc1'),
+            'av1': ('libsvtav1', {}, '')}
 
 
 class VideoWriter:
     """
-    An MP4 or MOV file (H.264), written picture by picture; a context manager.
+    An MP4 or MOV file, written picture by picture; a context manager.
 
     The times of the pictures are what a PictureClock makes of those given, counted from the first:
     they increase whatever is given, and good ones stay. All pictures are of the first one's size;
@@ -57,15 +61,18 @@ class VideoWriter:
         A video whose sound to copy; the times of the pictures are then its own.
     is_all
         Whether the sound is copied to its end, not only as long as pictures are shown.
+    encoder
+        The codec, and how the pictures are encoded.
 
     """
 
     def __init__(self, path: Path, spheres: bool = False, sound: Path | None = None,
-                 is_all: bool = True) -> None:
+                 is_all: bool = True, encoder: EncoderConfig = EncoderConfig()) -> None:
         self.path = path
         self._spheres = spheres
         self._sound_source = sound
         self._is_all = is_all
+        self._encoder = encoder
 
     def __enter__(self) -> 'VideoWriter':
         self._container = av.open(str(self.path), 'w')
@@ -112,11 +119,16 @@ class VideoWriter:
         self._container.mux(self._stream.encode(picture))
 
     def _start(self, image: Image, time_ns: int, colour: Colour) -> None:
+        name, more, tag = ENCODERS[self._encoder.codec]
+        # SVT-AV1 tells of all that it does.
+        os.environ.setdefault('SVT_LOG', '1')
         try:
             self._stream = self._container.add_stream(
-                'libx264', rate=NOMINAL_RATE, options=ENCODER_OPTIONS)
+                name, rate=NOMINAL_RATE, options={**self._encoder.options, **more})
         except ValueError as error:
-            raise RecordingError(f'{self.path} needs PyAV with libx264: {error}') from None
+            raise RecordingError(f'{self.path} needs PyAV with {name}: {error}') from None
+        if tag:
+            self._stream.codec_context.codec_tag = tag
         self._stream.height, self._stream.width = image.shape[:2]
         self._stream.pix_fmt = PIXEL_FORMAT
         self._stream.time_base = self._stream.codec_context.time_base = TIME_BASE

@@ -20,6 +20,7 @@ from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.lookahead import smooth
 from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
 from sph_stab_ros.stabilization.recording_loop import FrameProcessor
+from sph_stab_ros.tracking import MakeTracker
 from sph_stab_ros.tracking.offline import TwoPasses
 from sph_stab_ros.tracking.offline.two_passes import Progress
 
@@ -33,13 +34,19 @@ def offline_stabilizer(
     passes = TwoPasses()
     read(Stabilizer(config, passes.first_tracker))
     passes.finish(progress)
-    stabilizer = Stabilizer(config, passes.known_tracker)
+    return looking_ahead(config, read, passes.known_tracker)
+
+
+def looking_ahead(
+        config: StabilizerConfig, read: Read, known_tracker: MakeTracker) -> FrameProcessor:
+    """Return what shows frames whose orientations a tracker tells that knows all of them."""
+    stabilizer = Stabilizer(config, known_tracker)
     if config.smoothing.mode == LOCK:
         return stabilizer
     # What is smoothed is the levelled orientation.
     orientations = OrientationsOf(stabilizer)
     read(orientations)
-    return Directed(Stabilizer(config, passes.known_tracker), smooth(
+    return Directed(Stabilizer(config, known_tracker), smooth(
         config.smoothing, orientations.times_ns, Rotation.concatenate(orientations.rotations)))
 
 

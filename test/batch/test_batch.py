@@ -221,7 +221,11 @@ def test_two_batches_do_not_write_into_the_same_folder(long_bags, tmp_path, caps
     ('{bag}', '--out', '{new}', '--write', 'bag', '--side-by-side'),
     ('{bag}', '--out', '{new}', '--write', 'trajectory', '--view', '0,0,0,90'),
     ('{bag}', '--out', '{new}', '--smoothing', 'magic'),
-    ('{bag}', '--out', '{new}', '--scheduler', 'tcp://host:1', '--jobs', '2')])
+    ('{bag}', '--out', '{new}', '--scheduler', 'tcp://host:1', '--jobs', '2'),
+    ('{bag}', '--out', '{new}', '--split', '2'),
+    ('{bag}', '--out', '{new}', '--split', '60', '--start', '1'),
+    ('{bag}', '--out', '{new}', '--split', '60', '-p', 'level:=imu'),
+    ('{bag}', '--out', '{new}', '--split', '60', '--estimator', 'pts')])
 def test_a_wrong_call_ends_with_2_and_one_line(turning_bag, tmp_path, capsys, args):
     """Nothing is begun."""
     call(*(arg.format(bag=turning_bag, new=tmp_path / 'new') for arg in args), expect=2)

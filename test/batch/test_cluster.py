@@ -97,6 +97,21 @@ def test_a_lost_worker_loses_nothing_and_does_nothing_twice(cluster, tmp_path, t
     assert inodes(out) == before
 
 
+@pytest.mark.slow
+def test_segments_are_tracked_by_several_workers(cluster, tmp_path, turning):
+    """And joined by one of them: the same as on one machine."""
+    address, _ = cluster
+    bag, found = write_bag(tmp_path / 'bag', 40 * turning[0]), []
+    for out, args in ((tmp_path / 'here', ()), (tmp_path / 'there', ('--scheduler', address))):
+        process = start('sph_stab_ros.batch', bag, '--out', out, '--write', 'trajectory',
+                        '--split', '10', *args)
+        said, error = process.communicate(timeout=600)
+        assert (process.returncode, error) == (0, '')
+        assert 'bag [1 of 2]: ' in said and 'bag [2 of 2]: ' in said
+        found.append((out / 'bag' / 'trajectory.tum').read_text())
+    assert found[0] == found[1]
+
+
 def test_what_is_missing_is_said(monkeypatch):
     """Without Dask, or without its scheduler."""
     with monkeypatch.context() as patch:

@@ -94,7 +94,7 @@ def task(tmp_path, turning):
     """Return the Task of a recording of some seconds."""
     bag = write_bag(tmp_path / 'bag', 25 * turning[0])
     args = Namespace(image_topic=None, imu_topic=None, start=0., end=math.inf, max_frames=None,
-                     view=None, side_by_side=False, offline=False)
+                     view=None, side_by_side=False, offline=False, report=False)
     return Task('bag', bag, tmp_path / 'out', identity_of(bag, {}), args, Settings(), None,
                 evaluate=False, track=True, memory_mb=2000)
 

@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Tracking a recording that is there as a whole: forwards, backwards, and with hindsight."""
+"""Tracking a recording that is there as a whole: both ways, with hindsight, or in segments."""
 
 from sph_stab_ros.tracking.offline.two_passes import TwoPasses
 

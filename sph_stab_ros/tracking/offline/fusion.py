@@ -41,7 +41,7 @@ def fuse(forward: list[TrackedOrientation], backward: list[TrackedOrientation],
     of both, but for what they disagree by.
     """
     passes = (forward, backward)
-    nobody = ~np.any([[_is_seen(one) for one in tracked] for tracked in passes], axis=0)
+    nobody = ~np.any([[is_seen(one) for one in tracked] for tracked in passes], axis=0)
     if nobody.all():
         return forward
     R_f, R_b = (Rotation.concatenate([one.R_world_camera for one in tracked])
@@ -94,7 +94,7 @@ def _by_blindness(unseen: Choice) -> Values:
     return np.where(last_seen < 0, 0., 1 / np.maximum(number - last_seen, 1))
 
 
-def _is_seen(one: TrackedOrientation) -> bool:
+def is_seen(one: TrackedOrientation) -> bool:
     return one.status in (TrackingStatus.OK, TrackingStatus.UNCERTAIN)
 
 

@@ -1,0 +1,49 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""How a video is encoded."""
+
+from dataclasses import dataclass
+
+from sph_stab_ros.config.options import Checked, ConfigError, option
+
+H264, H265, AV1 = 'h264', 'h265', 'av1'
+# By FFmpeg's names, from quick to small; those of AV1 are SVT-AV1's.
+PRESETS = ('ultrafast', 'superfast', 'veryfast', 'faster', 'fast', 'medium', 'slow', 'slower',
+           'veryslow')
+AV1_PRESETS = tuple(map(str, range(13, -1, -1)))
+# Visually lossless at the smallest cost in time: CRF and preset.
+DEFAULTS = {H264: (20, 'veryfast'), H265: (22, 'veryfast'), AV1: (27, '10')}
+
+
+@dataclass(frozen=True)
+class EncoderConfig(Checked):
+    """The codec of a video, and how much time and room it may take."""
+
+    codec: str = option(H264, 'Codec of the video', choices=(*DEFAULTS,))
+    quality: int = option(
+        0, 'Constant rate factor (CRF) of the codec, the smaller the better and the larger the '
+        'file; 0 leaves it to the codec: 20 for h264, 22 for h265, 27 for av1', minimum=0,
+        maximum=51)
+    preset: str = option(
+        '', "How much time the encoder takes for a small file, by FFmpeg's names: ultrafast to "
+        'veryslow, for av1 13 to 0; veryfast and 10 where none is given')
+
+    def __post_init__(self) -> None:
+        """Check each option's value, and that the codec knows the preset."""
+        super().__post_init__()
+        known = AV1_PRESETS if self.codec == AV1 else PRESETS
+        if self.preset not in ('', *known):
+            raise ConfigError(f"preset of {self.codec} is one of {', '.join(known)}, not "
+                              f"'{self.preset}'")
+
+    @property
+    def options(self) -> dict[str, str]:
+        """Return what FFmpeg's encoder is told."""
+        quality, preset = DEFAULTS[self.codec]
+        return {'crf': str(self.quality or quality), 'preset': self.preset or preset}
