@@ -13,6 +13,8 @@ Of an error e with covariance C the normalised square ``eᵀ C⁻¹ e / 3`` (NEE
 Errors within a run go together, so that each run, of its own noise and path, counts once.
 """
 
+from itertools import islice
+
 import numpy as np
 from painted_room import flight, room, tracked
 import pytest
@@ -37,6 +39,7 @@ NOISE_GREY = 4
 START, AFTER_KEYFRAME, END = 3, 10, 19
 SEGMENT_FRAMES = 30
 SETTLED = SEGMENT_FRAMES - 1
+PASSES, WIDTH, PERIOD_NS = 4, 640, 66_666_667
 
 
 def normalised(results, R_world_camera):
@@ -154,3 +157,16 @@ def test_no_status_is_ok_where_an_error_exceeds_a_degree(lon_deg, lat_deg):
     # It is tracked all the same, and no status is a way out of the first frames.
     assert not errors_deg[TrackingStatus.LOST]
     assert len(errors_deg[TrackingStatus.OK]) > 5
+
+
+def test_who_goes_to_and_fro_does_not_lose_what_he_knows():
+    """In minutes between the same walls errors do not add up, and neither does the covariance."""
+    recording = open_recording(ROOT / 'bags/pioneer')
+    pictures = [frame.grey(WIDTH) for frame in islice(recording.frames(), 0, 160, 2)]
+    to_and_fro = [*pictures[:-1], *pictures[:0:-1]]
+    tracker, covariances = AnchoredTracker(), []
+    for n, picture in enumerate(PASSES * to_and_fro):
+        covariances.append(tracker.track(picture, n * PERIOD_NS).covariance)
+        tracker.settle()
+    after_one_rad, at_end_rad = (np.sqrt(np.trace(covariances[i])) for i in (len(to_and_fro) - 1, -1))
+    assert at_end_rad < 2 * after_one_rad

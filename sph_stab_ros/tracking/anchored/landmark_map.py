@@ -251,12 +251,12 @@ class LandmarkMap:
         """Take in a Window that was adjusted; forget landmarks whose observations disagree."""
         options = self.options
         self._known_poses = None
-        base = self.keyframes[first - 1].covariance
+        fixed = self._covariance_of_fixed(first, window)
         for i, one in enumerate(self.keyframes[first:]):
             one.R, one.position = adjusted.R[first + i], adjusted.p[first + i]
             block = slice(6 * i, 6 * i + 3)
             one.covariance = (
-                base + options.covariance_inflation * adjusted.covariance[block, block])
+                fixed + options.covariance_inflation * adjusted.covariance[block, block])
         rows = np.searchsorted(self._landmarks.number, numbers)
         inverse_depth = self._landmarks.inverse_depth.copy()
         information = self._landmarks.information.copy()
@@ -270,6 +270,17 @@ class LandmarkMap:
                  / np.maximum(count, 1))
         self._forget(np.isin(
             self._landmarks.number, numbers[(trust < options.min_trust) & (count > 1)]))
+
+    def _covariance_of_fixed(self, first: int, window: Window) -> Covariance:
+        """
+        Return the covariance (3, 3) of the orientation that a Window takes from its fixed keyframes.
+
+        It follows each by what they have seen of the same; who comes back to where it began is as
+        sure as then. At worst their errors are all alike, so that variances do not average out.
+        """
+        known = np.array([one.covariance for one in self.keyframes[:first]])
+        seen = np.bincount(window.keyframe, minlength=first)[:first]
+        return np.average(known, axis=0, weights=seen) if seen.any() else known[-1]
 
     def _take_lenses_apart(self, rotvec: Vector) -> None:
         """Correct all bearings known so far by a further rotation vector between the lenses."""
