@@ -58,7 +58,7 @@ _ARGUMENTS = {
     'pose_residuals': 'idddddddD',
     'pose_equations': 'iddddddddDDDDD',
     'bundle_residuals': 'illlddddddD',
-    'bundle_equations': 'iilllldddddddDDDDD',
+    'bundle_equations': 'iiilllldddddddDDDDD',
 }
 
 

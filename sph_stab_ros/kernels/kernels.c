@@ -446,7 +446,7 @@ INLINE void sight(const double *R_h, const double *p_h, const double *R_k,
   for (int k = 0; k < 2; k++) r[k] -= dot(sqrt_information + 3 * k, y);
 }
 
-// bundle.residuals.
+// bundle_window.residuals.
 void bundle_residuals(int observations, const int64_t *keyframe, const int64_t *host,
                       const int64_t *point, const double *R, const double *p, const double *x,
                       const double *rho, const double *y, const double *sqrt_information, double *r) {
@@ -458,43 +458,67 @@ void bundle_residuals(int observations, const int64_t *keyframe, const int64_t *
   }
 }
 
-// bundle.normal_equations; slots (keyframes) are the places of those that are free, −1 of others.
-// All sums start at zero.
-void bundle_equations(int observations, int columns, const int64_t *keyframe, const int64_t *host,
-                      const int64_t *point, const int64_t *slots, const double *R,
-                      const double *p, const double *x, const double *rho, const double *y,
-                      const double *sqrt_information, const double *weights, double *H, double *g,
-                      double *H_rp, double *H_rr, double *g_r) {
+// Add weight · aᵀ c to a block of H, for two rows of up to 6 columns.
+INLINE void add_products(double *restrict block, int columns, int high, int wide,
+                         const double a[2][6], const double c[2][6], double weight) {
+  for (int j = 0; j < high; j++) {
+    const double first = weight * a[0][j], second = weight * a[1][j];
+    for (int l = 0; l < wide; l++) block[j * columns + l] += first * c[0][l] + second * c[1][l];
+  }
+}
+
+// bundle_window.pose_and_point_equations; slots (keyframes) are the places of those that are
+// free, −1 of others; from the column lenses on, if it is one, are those of the lenses. All sums
+// start at zero.
+WITH_WIDE_VECTORS
+void bundle_equations(int observations, int columns, int lenses, const int64_t *keyframe,
+                      const int64_t *host, const int64_t *point, const int64_t *slots,
+                      const double *R, const double *p, const double *x, const double *rho,
+                      const double *y, const double *sqrt_information, const double *weights,
+                      double *restrict H, double *restrict g, double *restrict H_rp,
+                      double *restrict H_rr, double *restrict g_r) {
   for (int m = 0; m < observations; m++) {
     const int64_t k = keyframe[m], h = host[m], i = point[m];
-    const double weight = weights[m];
-    double x_world[3], q[3], z[3], r[2], M[6], J[2][2][6];
-    sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x + 3 * i, rho[i], y + 3 * m,
-          sqrt_information + 6 * m, x_world, q, z, r, M);
-    const int64_t places[2] = {6 * slots[k], 6 * slots[h]};
+    const double weight = weights[m], *x_h = x + 3 * i, *y_k = y + 3 * m;
+    double x_world[3], q[3], z[3], r[2], M[6], J[3][2][6], J_rho[2];
+    sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x_h, rho[i], y_k, sqrt_information + 6 * m,
+          x_world, q, z, r, M);
     for (int row = 0; row < 2; row++) {
-      const double *along = M + 3 * row, J_rho = -dot(along, q);
+      const double *along = M + 3 * row;
+      J_rho[row] = -dot(along, q);
       cross(along, z, J[0][row]);
       cross(x_world, along, J[1][row]);
       for (int j = 0; j < 3; j++) {
         J[0][row][3 + j] = -rho[i] * along[j];
         J[1][row][3 + j] = rho[i] * along[j];
       }
-      H_rr[i] += weight * J_rho * J_rho;
-      g_r[i] += weight * J_rho * r[row];
-      for (int a = 0; a < 2; a++) {
-        if (places[a] < 0) continue;
-        for (int j = 0; j < 6; j++) {
-          const double weighted = weight * J[a][row][j];
-          g[places[a] + j] += weighted * r[row];
-          H_rp[i * columns + places[a] + j] += weighted * J_rho;
-          for (int c = 0; c < 2; c++) {
-            if (places[c] < 0) continue;
-            double *sums = H + (places[a] + j) * columns + places[c];
-            for (int l = 0; l < 6; l++) sums[l] += weighted * J[c][row][l];
-          }
-        }
+      if (lenses < 0) continue;
+      double at_host[3], by_x[3], by_y[3];
+      turn_back(R + 9 * h, along, at_host);
+      cross(x_h, at_host, by_x);
+      cross(y_k, sqrt_information + 6 * m + 3 * row, by_y);
+      for (int j = 0; j < 3; j++)
+        J[2][row][j] = (x_h[2] > 0 ? 0.5 : -0.5) * by_x[j] - (y_k[2] > 0 ? 0.5 : -0.5) * by_y[j];
+    }
+    H_rr[i] += weight * (J_rho[0] * J_rho[0] + J_rho[1] * J_rho[1]);
+    g_r[i] += weight * (J_rho[0] * r[0] + J_rho[1] * r[1]);
+    const int64_t places[3] = {6 * slots[k], 6 * slots[h], lenses};
+    const int sizes[3] = {6, 6, 3};
+    for (int a = 0; a < 3; a++) {
+      if (places[a] < 0) continue;
+      for (int j = 0; j < sizes[a]; j++) {
+        g[places[a] + j] += weight * (J[a][0][j] * r[0] + J[a][1][j] * r[1]);
+        H_rp[i * columns + places[a] + j] +=
+            weight * (J[a][0][j] * J_rho[0] + J[a][1][j] * J_rho[1]);
       }
+      // The other half of H is added at the end.
+      for (int c = a; c < 3; c++)
+        if (places[c] >= 0)
+          add_products(H + places[a] * columns + places[c], columns, sizes[a], sizes[c], J[a],
+                       J[c], c == a ? weight / 2 : weight);
     }
   }
+  for (int i = 0; i < columns; i++)
+    for (int j = 0; j <= i; j++)
+      H[i * columns + j] = H[j * columns + i] += H[i * columns + j];
 }

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
 from sph_stab_ros.geometry.warp import perspective_view, rotate_equirect
-from sph_stab_ros.tracking.anchored import bundle_adjustment, pose_estimation
+from sph_stab_ros.tracking.anchored import bundle_adjustment, bundle_window, pose_estimation
 from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from synthetic import random_rotation, textured_sphere, unit
 
@@ -70,14 +70,17 @@ def test_equations_of_a_bundle(both, seed):
     rng = np.random.default_rng(seed)
     window = perturbed(rng, true_window(rng, noise_rad=1e-3))
     state = window.R, window.p, window.inverse_depths
-    assert_close(*both(lambda: (bundle_adjustment.residual_lengths(window, *state),)))
-    sizes = bundle_adjustment.residual_lengths(window, *state)
+    assert_close(*both(lambda: (bundle_window.residual_lengths(window, *state),)))
+    sizes = bundle_window.residual_lengths(window, *state)
+    weights = rng.uniform(size=len(sizes))
 
     def equations():
         one = bundle_adjustment.normal_equations(
             window, *state, sizes, bundle_adjustment.BundleOptions())
         return one.H, one.g, one.H_rp, one.H_rr, one.g_r
     assert_close(*both(equations))
+    assert_close(*both(lambda: bundle_window.pose_and_point_equations(
+        window, *state, weights, lenses=True)))
 
 
 @pytest.mark.parametrize('turn_deg', (0, 20, 150))

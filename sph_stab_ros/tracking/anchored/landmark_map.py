@@ -17,8 +17,8 @@ from sph_stab_ros.geometry.arrays import (
     Bearings, Choice, Covariance, Grey, Indices, Mask, Matrix, Values, Vector, Vectors)
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
-from sph_stab_ros.tracking.anchored.bundle_adjustment import (
-    adjust, Adjusted, BundleOptions, Window)
+from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Adjusted, BundleOptions
+from sph_stab_ros.tracking.anchored.bundle_window import Window
 from sph_stab_ros.tracking.anchored.corners import CornerOptions, find_corners
 from sph_stab_ros.tracking.anchored.keyframe import Keyframe
 from sph_stab_ros.tracking.anchored.landmarks import LandmarkOptions, Landmarks, Observations
