@@ -84,7 +84,7 @@ class LandmarkMap:
         self._store = PatchStore()
         self._adjusted_apart: Vector = np.zeros(3)
         self._next_keyframe = self._next_landmark = 0
-        self._known_poses: tuple[Indices, Matrix, Vectors] | None = None
+        self._all_in_world: tuple[Bearings, Bearings, Vectors] | None = None
 
     @property
     def landmarks(self) -> Landmarks:
@@ -97,20 +97,23 @@ class LandmarkMap:
         assert self._store.patches is not None
         return self._store.patches
 
-    def hosts(self, rows: Indices) -> tuple[Matrix, Vectors]:
-        """Return R (N, 3, 3) and positions (N, 3) of the hosts of the landmarks in rows."""
-        numbers, R, positions = self._poses()
-        index = np.searchsorted(numbers, self._landmarks.host[rows])
-        return R[index], positions[index]
+    def in_world(self, rows: Indices) -> tuple[Bearings, Bearings, Vectors]:
+        """Return x and east (N, 3) of the landmarks in rows, in the world, and whence (N, 3)."""
+        # Asked for several times per frame, they change with keyframes alone.
+        if self._all_in_world is None:
+            numbers, R, positions = self._poses()
+            host = np.searchsorted(numbers, self._landmarks.host)
+            self._all_in_world = (
+                np.einsum('nij,nj->ni', R[host], self._landmarks.x),
+                np.einsum('nij,nj->ni', R[host], self._landmarks.east), positions[host])
+        x, east, origins = self._all_in_world
+        return x[rows], east[rows], origins[rows]
 
     def _poses(self) -> tuple[Indices, Matrix, Vectors]:
         """Return the numbers (K,) of the keyframes, R (K, 3, 3) and positions (K, 3)."""
-        # Asked for several times per frame, they seldom change.
-        if self._known_poses is None:
-            self._known_poses = (np.array([one.number for one in self.keyframes]),
-                                 np.array([one.R for one in self.keyframes]),
-                                 np.array([one.position for one in self.keyframes]))
-        return self._known_poses
+        return (np.array([one.number for one in self.keyframes]),
+                np.array([one.R for one in self.keyframes]),
+                np.array([one.position for one in self.keyframes]))
 
     def rays(self, rows: Indices, position: Vector) -> Vectors:
         """
@@ -118,9 +121,8 @@ class LandmarkMap:
 
         Each in units of the landmark's distance from its host.
         """
-        R, origins = self.hosts(rows)
-        return (np.einsum('nij,nj->ni', R, self._landmarks.x[rows])
-                - self._landmarks.inverse_depth[rows, None] * (position - origins))
+        x, _, origins = self.in_world(rows)
+        return x - self._landmarks.inverse_depth[rows, None] * (position - origins)
 
     def directions(self, rows: Indices, position: Vector) -> Bearings:
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
@@ -134,7 +136,7 @@ class LandmarkMap:
     def near(self, position: Vector, count: int) -> Indices:
         """Return rows of up to ``count`` inactive landmarks whose hosts are nearest, ascending."""
         inactive = np.flatnonzero(~self._landmarks.active)
-        _, origins = self.hosts(inactive)
+        _, _, origins = self.in_world(inactive)
         distance = np.linalg.norm(origins - position, axis=1)
         return np.sort(inactive[np.argsort(distance, kind='stable')[:count]])
 
@@ -144,7 +146,6 @@ class LandmarkMap:
         self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
                                        covariance, encode_jpeg(grey), thumbnail, observations))
         self._next_keyframe += 1
-        self._known_poses = None
 
     def turn(self, R_new_old: Rotation, added_variance: float) -> None:
         """Turn the whole map; what is known of orientations changes by a variance in rad²."""
@@ -153,7 +154,7 @@ class LandmarkMap:
             one.R, one.position = R @ one.R, R @ one.position
             one.covariance = (rotate_covariance(one.covariance, R_new_old)
                               + added_variance * np.eye(3))
-        self._known_poses = None
+        self._all_in_world = None
 
     def shrink(self) -> None:
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""
@@ -166,7 +167,6 @@ class LandmarkMap:
         distance[np.diag_indices_from(distance)] = np.inf
         dropped = old[int(np.argmin(distance.min(axis=1)))]
         self.keyframes.remove(dropped)
-        self._known_poses = None
         self._forget(self._landmarks.host == dropped.number)
 
     def add_landmarks(self, grey: Grey, pyramid: Pyramid, free: Mask) -> None:
@@ -198,6 +198,7 @@ class LandmarkMap:
     def add(self, landmarks: Landmarks) -> None:
         """Add Landmarks that are born, numbered on from those before."""
         self._landmarks = Landmarks.joined((self._landmarks, landmarks))
+        self._all_in_world = None
         self._next_landmark += len(landmarks)
 
     def judge(self, rows: Indices, agreeing: Choice, inverse_depths: Values,
@@ -250,7 +251,7 @@ class LandmarkMap:
     def _take_in(self, first: int, numbers: Indices, window: Window, adjusted: Adjusted) -> None:
         """Take in a Window that was adjusted; forget landmarks whose observations disagree."""
         options = self.options
-        self._known_poses = None
+        self._all_in_world = None
         base = self.keyframes[first - 1].covariance
         for i, one in enumerate(self.keyframes[first:]):
             one.R, one.position = adjusted.R[first + i], adjusted.p[first + i]
@@ -273,7 +274,10 @@ class LandmarkMap:
 
     def _take_lenses_apart(self, rotvec: Vector) -> None:
         """Correct all bearings known so far by a further rotation vector between the lenses."""
+        if not rotvec.any():
+            return
         self._landmarks = replace(self._landmarks, x=apart(self._landmarks.x, rotvec))
+        self._all_in_world = None
         for one in self.keyframes:
             one.observations.y = apart(one.observations.y, rotvec)
 
@@ -281,6 +285,7 @@ class LandmarkMap:
         """Let landmarks go, (N,) bool, with their patches."""
         self._store.give_back(self._landmarks.patch[gone])
         self._landmarks = self._landmarks[~gone]
+        self._all_in_world = None
 
 
 def _are_among(numbers: Indices, others: Indices) -> Choice:
