@@ -20,7 +20,7 @@ export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
 .PHONY: evaluation-real evaluation-offline evaluation-hard company evaluation-company benchmark
-.PHONY: benchmark-company benchmark-ros soak frames bags hard-frames hard constraints packages clean
+.PHONY: benchmark-company benchmark-ros soak docs frames bags hard-frames hard constraints packages clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -191,6 +191,9 @@ benchmark-company: setup  ## How exact others' methods are on the same; minutes 
 	    $(PY) -m sph_stab_ros.benchmark $$one --parts references \
 	    --json results/benchmark/company/$$(basename $$one).json || exit 1; done
 
+docs: .venv-docs/complete  ## Build the documentation's site into results/docs
+	PACKAGE_PYTHON='$(CURDIR)/$(PY)' .venv-docs/bin/python -m sphinx -W --keep-going -E -b html docs results/docs
+
 constraints:  ## Pin the newest and the oldest versions anew (needs uv)
 	uv pip compile --universal --python-version 3.10 --all-extras --no-annotate --upgrade \
 	    --custom-compile-command 'make constraints' setup.py -o constraints.txt
@@ -202,7 +205,7 @@ packages:  ## Build sdist and wheel into dist/, and try them in bare environment
 	tools/check_packages.sh '$(PYTHON)'
 
 clean:  ## Remove the virtual environments and all results
-	rm -rf .venv .venv-oldest results
+	rm -rf .venv .venv-docs .venv-oldest results
 
 # What is compiled must be that of these sources.
 BUILT_FROM := setup.py sph_stab_ros/kernels/kernels.c tools/setup_venv.sh
@@ -212,3 +215,12 @@ BUILT_FROM := setup.py sph_stab_ros/kernels/kernels.c tools/setup_venv.sh
 
 .venv-oldest/complete: constraints-oldest.txt $(BUILT_FROM)
 	tools/setup_venv.sh .venv-oldest constraints-oldest.txt '$(PYTHON)'
+
+# Sphinx and the test tools want different docutils; the package itself is that of .venv.
+.venv-docs/complete: .venv/complete docs/requirements.txt
+	rm -rf .venv-docs
+	'$(PYTHON)' -m venv .venv-docs
+	.venv-docs/bin/pip install --quiet -r docs/requirements.txt
+	echo "import site; site.addsitedir('$$($(PY) -c 'import sysconfig; print(sysconfig.get_path("purelib"))')')" \
+	    > "$$(.venv-docs/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/package.pth"
+	touch .venv-docs/complete

@@ -110,6 +110,7 @@ setup(
             'operator = sph_stab_ros.operator.__main__:main',
             'player = sph_stab_ros.player:main',
             'replay = sph_stab_ros.replay:main',
+            'sph-stab = sph_stab_ros.__main__:main',
             'stabilizer = sph_stab_ros.stabilizer:main',
         ],
     },

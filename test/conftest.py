@@ -39,6 +39,7 @@ FOLDER_MARKERS = {
     'operator/test_operator_graphics.py': pytest.mark.browser,
     'operator/test_operator_layout.py': pytest.mark.browser,
     'operator/test_operator_renderers.py': pytest.mark.browser,
+    'test_docs.py': pytest.mark.thorough,
     'test_package.py': pytest.mark.thorough,
     'test_readme.py': pytest.mark.thorough,
     'test_style.py': pytest.mark.thorough,

@@ -24,6 +24,7 @@ from xml.etree import ElementTree
 
 import pytest
 import sph_stab_ros
+from sph_stab_ros.__main__ import COMMANDS
 from sph_stab_ros.stabilization.outputs import topics
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -131,6 +132,21 @@ def test_executables_are_importable(setup_arguments):
     for target in console_scripts(setup_arguments).values():
         module, function = target.split(':')
         assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_all_executables_are_behind_one_name(setup_arguments):
+    commands = {name: f'{PACKAGE}.{module}:main' for name, (module, _) in COMMANDS.items()}
+    assert {**commands, 'sph-stab': f'{PACKAGE}.__main__:main'} == console_scripts(setup_arguments)
+
+
+@pytest.mark.parametrize('arguments, status, start', [
+    (['replay', '--help'], 0, 'usage: replay '), (['replay', 'nowhere'], 1, 'replay: nowhere '),
+    (['--help'], 0, 'usage: sph-stab NAME '), ([], 2, 'usage: sph-stab NAME '),
+    (['dance'], 2, 'usage: sph-stab NAME ')])
+def test_the_one_name_runs_what_it_is_told(arguments, status, start):
+    done = subprocess.run([sys.executable, '-m', PACKAGE, *arguments], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=60)
+    assert done.returncode == status and done.stdout.startswith(start)
 
 
 def test_core_imports_without_ros():

@@ -188,8 +188,9 @@ def test_its_first_figures_are_those_of_the_evaluation():
         geodesic[0], per_frame[0]]
 
 
-@pytest.mark.parametrize('page', ['README.md', 'CONTRIBUTING.md', 'bags/README.md', *(
-    f'docs/{path.name}' for path in (ROOT / 'docs').glob('*.md'))])
+@pytest.mark.parametrize('page', [
+    'README.md', 'CONTRIBUTING.md', 'QUALITY_DECLARATION.md', 'bags/README.md', *sorted(
+        str(path.relative_to(ROOT)) for path in (ROOT / 'docs').rglob('*.md'))])
 def test_links_lead_somewhere(page):
     for target in re.findall(r'\]\(([^)\s]+)\)', (ROOT / page).read_text()):
         if '://' in target:

@@ -29,7 +29,7 @@ def in_root(monkeypatch):
 
 def python_paths():
     """Return what holds the project's Python; never a build tree beside it."""
-    candidates = ('setup.py', 'sph_stab_ros', 'test', 'tools', 'launch', 'examples')
+    candidates = ('setup.py', 'sph_stab_ros', 'test', 'tools', 'launch', 'examples', 'docs')
     return [path for path in candidates if (ROOT / path).exists()]
 
 

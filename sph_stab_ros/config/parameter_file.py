@@ -54,7 +54,7 @@ def parameter_file() -> str:
 def _entry(key: str, option: Option) -> str:
     """Return the lines of one option: description, allowed values, default."""
     when = '' if option.live else ' (at start only)'
-    lines = wrap(f'{option.description}{_allowed(option)}{when}.', width=88)
+    lines = wrap(f'{option.description}{allowed(option)}{when}.', width=88)
     return ''.join(f'# {line}\n' for line in lines) + f'{key}: {yaml_value(option.default)}\n'
 
 
@@ -65,7 +65,8 @@ def yaml_value(value: Any) -> str:
     return repr(list(value) if isinstance(value, tuple) else value)
 
 
-def _allowed(option: Option) -> str:
+def allowed(option: Option) -> str:
+    """Return what the values of an option may be, as a part of a sentence."""
     if option.choices:
         return ': ' + ', '.join(option.choices)
     return '' if option.minimum is None else f': {option.minimum:g} to {option.maximum:g}'
