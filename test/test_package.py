@@ -257,7 +257,7 @@ def test_colcon_installs_everything(workspace, setup_arguments):
 
 def test_colcon_installs_the_page(workspace):
     pytest.importorskip('aiohttp', reason='aiohttp is not installed')
-    code = f'from {PACKAGE}.operator.server import page_files; print(*sorted(page_files()))'
+    code = f'from {PACKAGE}.operator.page_files import page_files; print(*sorted(page_files()))'
     output, _ = in_workspace(workspace, f'{sys.executable} -c "{code}"').communicate(timeout=60)
     in_source = sorted(path.name for path in (ROOT / PACKAGE / 'operator' / 'page').iterdir())
     assert output.split() == in_source

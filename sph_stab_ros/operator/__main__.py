@@ -10,8 +10,8 @@
 Serve the operator's page: look around in the stabilised view with a browser.
 
 Subscribes to ``image/compressed`` or ``image``, ``orientation``, ``virtual_orientation`` and
-``/diagnostics``, publishes ``view/direction`` and calls the services of the stabilizer node. Ends
-on SIGINT and SIGTERM.
+``/diagnostics``, publishes ``view/direction`` and, on ``/diagnostics``, how good the link is, and
+calls the services of the stabilizer node. Ends on SIGINT and SIGTERM.
 """
 
 from argparse import Namespace
@@ -83,6 +83,8 @@ def arguments(argv: Sequence[str]) -> Namespace:
                         help='what makes a video of the pictures for browsers that take one: a '
                              'tenth of the bits for half a core; none sends JPEG alone '
                              '(default: %(default)s)')
+    parser.add_argument('--recordings', type=Path, default=Path('recordings'), metavar='FOLDER',
+                        help='where the bags come that the page records (default: %(default)s)')
     args = parser.parse_args(argv)
     if args.port is not None and not 0 <= args.port < 2**16:
         parser.error('--port lies within 0 and 65535')
@@ -139,6 +141,7 @@ async def serve(args: Namespace) -> None:
     from sph_stab_ros.operator.access import Access, is_loopback, new_token
     from sph_stab_ros.operator.encryption import (
         AUTHORITY_FILE, AUTHORITY_TYPE, encryption)
+    from sph_stab_ros.operator.recorder import Recorder
     from sph_stab_ros.operator.robot import Robot
     from sph_stab_ros.operator.server import OperatorServer
     from sph_stab_ros.ros.diagnostics import ThrottledLog
@@ -164,10 +167,10 @@ async def serve(args: Namespace) -> None:
         LOG.warning('there is no parameter %s here; those of the stabilizer are set at that node',
                     ', '.join(map(repr, unknown)))
     warn = ThrottledLog(LOG.warning).warn
-    server = OperatorServer(robot, Access(args.host, token), warn, args.browsers,
-                            video(warn) if args.encoder == 'x264' else None)
+    server = OperatorServer(robot, Access(args.host, token), Recorder(args.recordings, warn), warn,
+                            args.browsers, video(warn) if args.encoder == 'x264' else None)
     if tls and tls.authority_pem:
-        server.offer_file(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
+        server.files.offer(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
     try:
         listener = await start(server, args.host, args.port, tls.context if tls else None)
         spinning = asyncio.create_task(asyncio.to_thread(spin, robot))

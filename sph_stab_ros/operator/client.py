@@ -15,7 +15,7 @@ from time import monotonic
 
 from sph_stab_ros.operator.flow import Flow, StillFlow, VideoFlow
 from sph_stab_ros.operator.listening import Allowance
-from sph_stab_ros.operator.protocol import picture_message
+from sph_stab_ros.operator.protocol import Link, picture_message
 
 # A page sends one look and one acknowledgement per picture of its display, at 120 Hz or less.
 MESSAGES_PER_S = 300.
@@ -36,6 +36,8 @@ class Client:
         self.name = name
         # What tells a page that comes back from others; '' where it does not say.
         self.page = page
+        # What it says of its link.
+        self.link: Link | None = None
         # Whether something that it asked for is still being done.
         self.busy = False
         self._clock = clock

@@ -44,6 +44,8 @@ class H264Encoder:
     """
     Encodes the pictures of one stream, with no other pictures than those before.
 
+    ``source_size`` is (width, height) of the last file.
+
     Parameters
     ----------
     divisor
@@ -56,6 +58,7 @@ class H264Encoder:
         self._jpeg = jpeg_decoder()
         self._encoder: VideoCodecContext | None = None
         self._first_told = 0.
+        self.source_size = 0, 0
 
     def encode(self, file: bytes, bit_rate: float, period_s: float, wants_key: bool
                ) -> tuple[bytes, bool]:
@@ -97,6 +100,7 @@ class H264Encoder:
             image = decoded(data, kind)
             frame = VideoFrame.from_ndarray(
                 np.ascontiguousarray(image), 'gray' if image.ndim == 2 else 'bgr24')
+        self.source_size = frame.width, frame.height
         width, height = size(frame.width, frame.height, self._divisor)
         if not (width and height):
             raise ImageError('small picture', f'{frame.width}×{frame.height}')

@@ -9,13 +9,25 @@
 
 """What the web server asks of the robot, and how that says no."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from sph_stab_ros.operator.pairing import UnitQuaternion
+from sph_stab_ros.operator.protocol import Link
 
 
 class RobotError(Exception):
     """Something that the robot cannot or did not do, in one line for the operator."""
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """A browser: its address, whether it steers, and its Link, None until it has told."""
+
+    address: str
+    steers: bool
+    link: Link | None
 
 
 class OperatedRobot(Protocol):
@@ -31,6 +43,9 @@ class OperatedRobot(Protocol):
 
     def watch(self, watched: bool) -> None:
         """Take in whether anybody looks at the pictures."""
+
+    def report(self, watchers: Sequence[Watcher]) -> None:
+        """Take in who watches, and how well; once a second."""
 
     def look(self, direction: UnitQuaternion) -> None:
         """Take in where the operator looks, ``R_virtual_view``."""

@@ -42,7 +42,8 @@ class Picture:
 
     ``data`` is a JPEG or PNG file, ``received_s`` its time of receipt by ``monotonic``;
     ``orientation`` is None without a node. ``derotated`` tells that it is the virtual camera's.
-    Of a picture in a video ``data`` is H.264, and ``chunk`` 'key' or 'delta', as WebCodecs say.
+    Of a picture in a video ``data`` is H.264, and ``chunk`` 'key' or 'delta', as WebCodecs say;
+    ``size`` is that of the camera's, (width, height), which may be larger.
     """
 
     stamp_ns: int
@@ -51,6 +52,7 @@ class Picture:
     orientation: Orientation | None = None
     derotated: bool = False
     chunk: str = ''
+    size: tuple[int, int] | None = None
 
 
 class StampedOrientations:

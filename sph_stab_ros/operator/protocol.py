@@ -27,6 +27,8 @@ from sph_stab_ros.operator.pairing import Picture, UnitQuaternion
 # All commands are shorter by far.
 MAX_MESSAGE_BYTES = 1024
 QUATERNION_TOLERANCE = 0.01
+# Of a link.
+MAX_FIGURE = 1e6
 
 
 class ProtocolError(ValueError):
@@ -112,13 +114,45 @@ class SetMode:
             raise ProtocolError('mode is not a name')
 
 
+@dataclass(frozen=True)
+class Record:
+    """Begin to record on the robot, or end that."""
+
+    on: bool
+
+    def __post_init__(self) -> None:
+        """Check the value."""
+        if type(self.on) is not bool:
+            raise ProtocolError('on is neither true nor false')
+
+
+@dataclass(frozen=True)
+class Link:
+    """What the page shows of its link: rates per second, and times; None where unknown."""
+
+    drawn: float | None
+    dropped: float | None
+    mbit_s: float | None
+    latency_ms: float | None
+    latency_p95_ms: float | None
+    round_trip_ms: float | None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for name, value in asdict(self).items():
+            # Written so that NaN fails too.
+            if value is not None and not (type(value) in (int, float) and abs(value) < MAX_FIGURE):
+                raise ProtocolError(f'{name} is not a figure')
+
+
 Command: TypeAlias = (
-    Drawn | Skipped | NeedKey | Echo | Look | TakeControl | ResetHeading | Level | SetMode)
+    Drawn | Skipped | NeedKey | Echo | Look | TakeControl | ResetHeading | Level | SetMode
+    | Record | Link)
 
 COMMANDS: dict[str, type[Command]] = {
     'drawn': Drawn, 'skipped': Skipped, 'need_key': NeedKey, 'echo': Echo, 'look': Look,
     'take_control': TakeControl, 'reset_heading': ResetHeading, 'level': Level,
-    'set_mode': SetMode}
+    'set_mode': SetMode, 'record': Record, 'link': Link}
 
 
 def parse_command(text: str) -> Command:
@@ -145,6 +179,8 @@ def picture_message(sequence: int, picture: Picture) -> bytes:
     """
     header = json.dumps({
         'sequence': sequence,
+        # That of the camera's, where it is another.
+        'size': picture.size,
         # A JavaScript number cannot hold nanoseconds since 1970.
         'stamp_ns': str(picture.stamp_ns),
         'orientation': picture.orientation and asdict(picture.orientation),

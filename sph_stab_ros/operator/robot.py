@@ -15,13 +15,13 @@ images are encoded as JPEG. Without a browser no images are subscribed to.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import monotonic
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Quaternion, QuaternionStamped
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
@@ -33,7 +33,8 @@ from rclpy.task import Future
 from sph_stab_ros.config import MODES
 from sph_stab_ros.images.codec import (
     encode_jpeg, image_from_message, ImageError, video_codec)
-from sph_stab_ros.operator.operated_robot import RobotError
+from sph_stab_ros.operator.link_status import link_status
+from sph_stab_ros.operator.operated_robot import RobotError, Watcher
 from sph_stab_ros.operator.pairing import (
     Pairing, Picture, StampedOrientations, UnitQuaternion)
 from sph_stab_ros.ros.diagnostics import ThrottledLog
@@ -110,6 +111,7 @@ class Robot(Node):
         self._encoding.start()
 
         self._look = self.create_publisher(QuaternionStamped, 'view/direction', 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._reset = self.create_client(Trigger, f'{stabilizer}/reset')
         self._level = self.create_client(Trigger, f'{stabilizer}/level')
         self._node_parameters = AsyncParameterClient(self, stabilizer)
@@ -158,6 +160,16 @@ class Robot(Node):
         self._look.publish(QuaternionStamped(
             header=Header(stamp=self.get_clock().now().to_msg(), frame_id=self._frame_id),
             quaternion=Quaternion(x=x, y=y, z=z, w=w)))
+
+    def report(self, watchers: Sequence[Watcher]) -> None:
+        """Publish who watches, and how well."""
+        message, values = link_status(watchers)
+        self._diagnostics.publish(DiagnosticArray(
+            header=Header(stamp=self.get_clock().now().to_msg()),
+            status=[DiagnosticStatus(
+                level=DiagnosticStatus.OK, name=f'{self.get_fully_qualified_name()}: link',
+                message=message,
+                values=[KeyValue(key=key, value=value) for key, value in values.items()])]))
 
     async def reset_heading(self) -> str:
         """Make the next image's orientation the world's; return what to tell the operator."""

@@ -14,27 +14,30 @@ from contextlib import suppress
 from dataclasses import asdict
 import logging
 from ssl import SSLContext
-from time import time
+from time import monotonic, time
 from typing import Any, TYPE_CHECKING
 
 from aiohttp import web, WSCloseCode
 
-from sph_stab_ros.operator.access import Access, ConnectionGuard, host_of, ServerLog
+from sph_stab_ros.operator.access import Access, ConnectionGuard, ServerLog
 from sph_stab_ros.operator.browser_socket import BrowserSocket, CLOSING_S
 from sph_stab_ros.operator.client import Client
 from sph_stab_ros.operator.listening import Listener
-from sph_stab_ros.operator.operated_robot import OperatedRobot, RobotError
-from sph_stab_ros.operator.page_files import headers, PAGE, page_files
+from sph_stab_ros.operator.operated_robot import OperatedRobot, RobotError, Watcher
+from sph_stab_ros.operator.page_files import add_headers, PageFiles
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import (
-    Command, Drawn, Echo, Level, Look, MAX_MESSAGE_BYTES, NeedKey, parse_command, ProtocolError,
-    ResetHeading, SetMode, Skipped, TakeControl, text_message)
+    Command, Drawn, Echo, Level, Link, Look, MAX_MESSAGE_BYTES, NeedKey, parse_command,
+    ProtocolError, Record, ResetHeading, SetMode, Skipped, TakeControl, text_message)
+from sph_stab_ros.operator.recorder import Recorder
 
 if TYPE_CHECKING:
     from sph_stab_ros.operator.video import Video
 
 MAX_CLIENTS = 5
 STATE_PERIOD_S = 0.2
+# As diagnostics come.
+REPORT_PERIOD_S = 1.0
 NOT_IN_CONTROL = 'Another operator has control: take it first.'
 
 
@@ -46,8 +49,8 @@ class OperatorServer:
 
     Parameters
     ----------
-    robot, access
-        Whom it steers, and who may.
+    robot, access, recorder
+        Whom it steers, who may, and what writes what is seen.
     warn
         Logs a text; the kind of event comes before it, so that a flood can be held back.
     video
@@ -55,31 +58,29 @@ class OperatorServer:
 
     """
 
-    def __init__(self, robot: OperatedRobot, access: Access, warn: Callable[[str, str], object],
-                 max_clients: int = MAX_CLIENTS, video: 'Video | None' = None) -> None:
+    def __init__(self, robot: OperatedRobot, access: Access, recorder: Recorder,
+                 warn: Callable[[str, str], object], max_clients: int = MAX_CLIENTS,
+                 video: 'Video | None' = None) -> None:
         self._robot = robot
+        self._recorder = recorder
         self._access = access
         self._warn = warn
         self._max_clients = max_clients
         self._video = video
-        self._files = page_files()
+        self.files = PageFiles(access, warn)
         self._guard = ConnectionGuard()
         self._browsers: dict[Client, BrowserSocket] = {}
         self._in_control: Client | None = None
         self._picture_count = 0
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def offer_file(self, name: str, body: bytes, content_type: str) -> None:
-        """Let a file be fetched without token."""
-        self._files[name] = body, content_type
-
     async def start(self, host: str, port: int, tls: SSLContext | None = None) -> Listener:
         """Listen, encrypted where there is a context for it; return the Listener."""
         app = web.Application(client_max_size=MAX_MESSAGE_BYTES)
-        app.router.add_get('/', self._get_page)
+        app.router.add_get('/', self.files.get_page)
         app.router.add_get('/socket', self._get_socket)
-        app.router.add_get('/{name}', self._get_file)
-        app.on_response_prepare.append(self._add_headers)
+        app.router.add_get('/{name}', self.files.get_file)
+        app.on_response_prepare.append(add_headers)
         app.on_shutdown.append(self._close_all)
         # Its log of requests would show the token.
         runner = web.AppRunner(app, access_log=None, shutdown_timeout=CLOSING_S,
@@ -93,6 +94,7 @@ class OperatorServer:
     def show(self, picture: Picture) -> None:
         """Send a Picture to all browsers that are ready for it."""
         self._picture_count += 1
+        self._recorder.take(picture)
         for client in self._browsers:
             if not client.video:
                 client.flow.offer(self._picture_count, picture)
@@ -106,44 +108,8 @@ class OperatorServer:
         task.add_done_callback(self._tasks.discard)
         return task
 
-    # Requests.
-
-    async def _get_page(self, request: web.Request) -> web.Response:
-        self._check(self._access.check_page, request)
-        return self._file(PAGE)
-
-    async def _get_file(self, request: web.Request) -> web.Response:
-        self._check(self._access.check_host, request)
-        name = request.match_info['name']
-        if name == PAGE:
-            # It has an address of its own, and needs the token.
-            raise web.HTTPNotFound
-        return self._file(name)
-
-    def _check(self, check: Callable[[web.Request], None], request: web.Request) -> None:
-        """Let a check raise HTTPForbidden, with a line in the log."""
-        try:
-            check(request)
-        except web.HTTPForbidden as refusal:
-            self._warn('forbidden', f'{request.remote} refused: {(refusal.text or "").strip()}')
-            raise
-
-    def _file(self, name: str) -> web.Response:
-        if name not in self._files:
-            raise web.HTTPNotFound
-        body, content_type = self._files[name]
-        return web.Response(body=body, content_type=content_type, charset='utf-8')
-
-    async def _add_headers(self, request: web.Request, response: web.StreamResponse) -> None:
-        response.headers.update(headers(host_of(request)))
-        if not isinstance(response, web.WebSocketResponse):
-            # Kept open, nobody could tell it from an idle one.
-            response.force_close()
-            # aiohttp has said what becomes of it before, if it is old.
-            response.headers['Connection'] = 'close'
-
     async def _get_socket(self, request: web.Request) -> web.WebSocketResponse:
-        self._check(self._access.check_socket, request)
+        self.files.check(self._access.check_socket, request)
         self._guard.let_stay(request)
         client = Client(request.remote, request.query.get('page', ''),
                         self._video is not None and request.query.get('video') == 'h264')
@@ -171,7 +137,6 @@ class OperatorServer:
 
     async def _serve(self, socket: BrowserSocket, client: Client) -> None:
         """Talk to a browser until it goes, or has to."""
-        self._robot.watch(True)
         if self._video and client.video:
             self._video.add(client.video)
         self._tell_all()
@@ -193,7 +158,6 @@ class OperatorServer:
             self._browsers.pop(client, None)
             if self._in_control is client:
                 self._in_control = None
-            self._robot.watch(bool(self._browsers))
             self._tell_all()
 
     async def _send(self, socket: BrowserSocket, client: Client) -> None:
@@ -221,6 +185,8 @@ class OperatorServer:
         elif isinstance(command, Echo):
             client.offer_text('echo', text_message(
                 'echo', sent_ms=command.sent_ms, server_ms=1e3 * time()))
+        elif isinstance(command, Link):
+            client.link = command
         elif isinstance(command, TakeControl):
             self._in_control = client
             self._tell_all()
@@ -245,6 +211,8 @@ class OperatorServer:
                 answer = await self._robot.level()
             elif isinstance(command, SetMode):
                 answer = await self._robot.set_mode(command.mode)
+            elif isinstance(command, Record):
+                answer = await self._recorder.record(command.on)
             self._tell(client, answer, ok=True, done=type(command).__name__)
         except RobotError as error:
             self._tell(client, str(error), ok=False)
@@ -259,6 +227,8 @@ class OperatorServer:
 
     def _tell_all(self) -> None:
         """Tell everybody how things are."""
+        # A recording goes on also when nobody is left.
+        self._robot.watch(bool(self._browsers or self._recorder.name))
         robot = asdict(self._robot.state)
         for client in self._browsers:
             rate_hz, latency_s = client.rate_and_latency()
@@ -266,18 +236,28 @@ class OperatorServer:
                 'taken' if self._in_control else 'free')
             client.offer_text('state', text_message(
                 'state', robot=robot, control=control, browsers=len(self._browsers),
-                can_video=self._video is not None,
+                can_video=self._video is not None, recording=self._recorder.name,
                 rate_hz=round(rate_hz, 1),
                 latency_ms=None if latency_s is None else round(1e3 * latency_s)))
 
     async def _tell_state(self, listener: Listener) -> None:
+        report_s = 0.
         while True:
             self._tell_all()
+            if failure := self._recorder.pop_failure():
+                for client in self._browsers:
+                    self._tell(client, failure, ok=False)
+            if monotonic() >= report_s:
+                report_s = monotonic() + REPORT_PERIOD_S
+                self._robot.report([
+                    Watcher(str(client.name), self._in_control is client, client.link)
+                    for client in self._browsers])
             if closed := self._guard.close_idle(listener.connections):
                 self._warn('idle', f'{closed} connections closed that led to nothing')
             await asyncio.sleep(STATE_PERIOD_S)
 
     async def _close_all(self, app: web.Application) -> None:
+        self._recorder.close()
         if self._video:
             self._video.close()
             self._video = None

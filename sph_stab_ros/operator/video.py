@@ -112,24 +112,26 @@ class Rung:
             bit_rate = max(self._min_bit_rate, min(flow.rate.bit_rate for flow in self._flows))
             wants_key = any(flow.needs_key for flow in self._flows)
             try:
-                data, is_key = await loop.run_in_executor(
+                data, is_key, source_size = await loop.run_in_executor(
                     self._thread, self._encode, picture.data, bit_rate,
                     self._pace.period_s, wants_key)
             except ImageError as error:
                 self._warn(error.reason, f'picture left out, {error}')
                 continue
-            encoded = replace(picture, data=data, chunk='key' if is_key else 'delta')
+            encoded = replace(picture, data=data, chunk='key' if is_key else 'delta',
+                              size=source_size)
             for flow in self._flows:
                 flow.offer(sequence, encoded)
         self._work = None
         self._rest()
 
     def _encode(self, file: bytes, bit_rate: float, period_s: float, wants_key: bool
-                ) -> tuple[bytes, bool]:
-        """Encode a picture, in the thread."""
+                ) -> tuple[bytes, bool, tuple[int, int]]:
+        """Encode a picture, in the thread; return also the size of the file's."""
         if self._encoder is None:
             self._encoder = H264Encoder(self._divisor)
-        return self._encoder.encode(file, bit_rate, period_s, wants_key)
+        return (*self._encoder.encode(file, bit_rate, period_s, wants_key),
+                self._encoder.source_size)
 
 
 class Video:

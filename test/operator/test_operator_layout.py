@@ -17,6 +17,8 @@ from operator_harness import Page, wait_until  # noqa: E402, I100
 from operator_served import Served, State  # noqa: E402
 
 SCREENS = (360, 640), (640, 360), (740, 360), (600, 960), (820, 1180), (1366, 768), (3840, 2160)
+HEADSET = """Object.defineProperty(navigator, 'xr', {
+    value: {isSessionSupported: async () => true}});"""
 # A small phone on its side, and a laptop at 400 %: these scroll.
 TINY = (568, 320), (320, 256)
 
@@ -31,10 +33,20 @@ def served():
         served.end()
 
 
+class Offered(Page):
+    """The page with every button that some browser offers."""
+
+    def __init__(self, browser, address, **options):
+        super().__init__(browser, 'about:blank', **options)
+        self.context.add_init_script(HEADSET)
+        self.page.goto(address)
+        wait_until(lambda: self.page.is_visible('#headset'), self.situation)
+
+
 @pytest.fixture(scope='module')
 def shared_page(served, browser):
     wait_until(lambda: served.url)
-    page = Page(browser, served.url)
+    page = Offered(browser, served.url)
     yield page
     assert not page.errors
     page.context.close()
@@ -86,7 +98,7 @@ def at_all_sizes(page, faults):
 def test_everything_is_on_the_screen(served, page, browser, state, name):
     """Also for who watches, and when the pictures are late."""
     served.state, served.late_s = state, 1.
-    watching = Page(browser, served.url, has_touch=True)
+    watching = Offered(browser, served.url, has_touch=True)
     try:
         for one in (page, watching):
             one.wait_for_situation(name)
@@ -111,7 +123,7 @@ UNREACHABLE = """() => [...document.querySelectorAll('button, nav label')]
 
 
 def test_a_notice_covers_no_button(served, page, browser):
-    watching = Page(browser, served.url, has_touch=True)
+    watching = Offered(browser, served.url, has_touch=True)
     try:
         watching.wait_for_situation('stabilized')
         # Refused, as somebody else has control.
@@ -131,7 +143,7 @@ def test_a_notice_covers_no_button(served, page, browser):
 def test_everything_is_reached_on_tiny_screens(served, page, browser, state):
     """By scrolling in one direction alone."""
     served.state = state
-    watching = Page(browser, served.url, has_touch=True)
+    watching = Offered(browser, served.url, has_touch=True)
     try:
         for one in (page, watching):
             one.wait_for_situation('lost' if state.tracking == 'lost' else 'stabilized')

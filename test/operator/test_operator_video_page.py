@@ -148,7 +148,7 @@ def test_ages_are_by_the_server_s_clock_and_gaps_are_pictures_left_out(opened):
         }""")
     assert figures == {
         'what': 'H.264, 64×32', 'mbit_s': 4, 'drawn': 1.5, 'dropped': 2, 'latency_ms': 120,
-        'round_trip_ms': 420}
+        'latency_p95_ms': 120, 'round_trip_ms': 420}
 
 
 def test_a_broken_decoder_goes_on_with_a_key_picture(opened):

@@ -191,8 +191,8 @@ class Page:
     """The page in a browser, seen by its pixels."""
 
     SIZE_WH = 1100, 600
-    # Between the instruments above and below.
-    CLIP = {'x': 0, 'y': 165, 'width': 1100, 'height': 200}
+    # Between the instruments above, below and to the left.
+    CLIP = {'x': 150, 'y': 165, 'width': 950, 'height': 200}
     FOV_DEG = 100.
 
     def __init__(self, browser, address, **options):

@@ -38,12 +38,18 @@ class State:
 
 
 class Served(Thread):
-    """A server that shows grey pictures, or ``file``, of a robot in the State ``state``."""
+    """
+    A server that shows grey pictures, or ``file``, of a robot in the State ``state``.
+
+    It does so while it is ``on``; ``robot`` notes what is asked of it, ``last_ns`` is the stamp of
+    the last picture.
+    """
 
     def __init__(self, **options):
         super().__init__()
         self.state, self.late_s, self.url, self.port = State(), 0., None, None
         self.file = cv2.imencode('.jpg', np.full((64, 128, 3), 128, np.uint8))[1].tobytes()
+        self.robot, self.on, self.last_ns = None, True, 0
         self._options = options
         self._ending = False
 
@@ -63,11 +69,14 @@ class Served(Thread):
 
     async def _serve(self):
         async with site(**self._options) as one:
-            self.port, self.url = one.port, one.url
+            self.robot, self.port, self.url = one.robot, one.port, one.url
             while not self._ending:
                 one.robot.state = self.state
                 now_s = asyncio.get_running_loop().time()
-                one.server.show(self.picture(now_s))
+                if self.on:
+                    picture = self.picture(now_s)
+                    one.server.show(picture)
+                    self.last_ns = picture.stamp_ns
                 await asyncio.sleep(PERIOD_S)
 
     def picture(self, now_s):

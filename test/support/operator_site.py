@@ -12,6 +12,7 @@ import asyncio
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 import json
+from pathlib import Path
 from struct import unpack_from
 
 import aiohttp
@@ -21,10 +22,13 @@ import pytest
 from sph_stab_ros.operator.access import Access
 from sph_stab_ros.operator.operated_robot import RobotError
 from sph_stab_ros.operator.pairing import Picture
+from sph_stab_ros.operator.recorder import Recorder
 from sph_stab_ros.operator.server import OperatorServer
 
 TIMEOUT_S = 20.
 IDENTITY = (0., 0., 0., 1.)
+# Nothing can be recorded there.
+NOWHERE = Path('/proc/nowhere')
 LOOK = json.dumps({'type': 'look', 'direction': IDENTITY})
 # What no page sends.
 BAD = [
@@ -38,7 +42,9 @@ BAD = [
     '{"type": "drawn", "sequence": -1}', '{"type": "drawn", "sequence": 1.5}',
     '{"type": "drawn", "sequence": 99999999999999999999}', '{"type": "drawn", "sequence": "1"}',
     '{"type": "set_mode", "mode": ""}', '{"type": "set_mode", "mode": 1}',
-    '{"type": "level", "really": true}', '[' * 1000,
+    '{"type": "level", "really": true}', '{"type": "record", "on": 1}', '{"type": "link"}',
+    '{"type": "link", "drawn": NaN, "dropped": 0, "mbit_s": 0, "latency_ms": null, '
+    '"latency_p95_ms": null, "round_trip_ms": null}', '[' * 1000,
 ]
 
 
@@ -69,11 +75,16 @@ class StrawRobot:
     def __init__(self):
         self.watched = None
         self.looks = []
+        self.watchers = []
         self.levelling = asyncio.Event()
 
     def watch(self, watched):
         """Note whether somebody looks."""
         self.watched = watched
+
+    def report(self, watchers):
+        """Note who watches."""
+        self.watchers = watchers
 
     def look(self, direction):
         """Note a look."""
@@ -172,11 +183,15 @@ class Site:
 
 
 @asynccontextmanager
-async def site(token=None, tls=None, host='127.0.0.1', **options):
+async def site(token=None, tls=None, host='127.0.0.1', recordings=NOWHERE, **options):
     """Serve on a free port."""
     robot, warnings = StrawRobot(), []
-    server = OperatorServer(robot, Access(host, token),
-                            lambda kind, text: warnings.append(text), **options)
+
+    def warn(kind, text):
+        warnings.append(text)
+
+    server = OperatorServer(robot, Access(host, token), Recorder(recordings, warn), warn,
+                            **options)
     listener = await server.start(host, 0, tls)
     try:
         async with aiohttp.ClientSession() as session:

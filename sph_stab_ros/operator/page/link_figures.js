@@ -10,7 +10,8 @@ const ROUND_TRIPS = 30;
 // Stamps that are farther off are of another clock, a recording's.
 const MAX_AGE_MS = 60e3;
 
-const median = values => [...values].sort((a, b) => a - b)[values.length >> 1] ?? null;
+const quantile = (values, share) =>
+  [...values].sort((a, b) => a - b)[Math.floor(share * values.length)] ?? null;
 
 export class LinkFigures {
   // now(): the time in ms since 1970.
@@ -50,7 +51,8 @@ export class LinkFigures {
       (best, one) => one.ms < best.ms ? one : best, {ms: Infinity, offset: NaN}).offset;
   }
 
-  // Returns {what, mbit_s, drawn and dropped per second, latency_ms, round_trip_ms}; null where unknown.
+  // Returns {what, mbit_s, drawn and dropped per second, latency_ms and that of the slowest
+  // twentieth, round_trip_ms}; null where unknown.
   figures() {
     const since = this.now() - WINDOW_MS, seconds = WINDOW_MS / 1000;
     this.messages = this.messages.filter(({at}) => at >= since);
@@ -62,8 +64,9 @@ export class LinkFigures {
       mbit_s: sum(this.messages, 'bytes') * 8e-6 / seconds,
       drawn: this.pictures.length / seconds,
       dropped: sum(this.pictures, 'dropped') / seconds,
-      latency_ms: median(ages),
-      round_trip_ms: median(this.roundTrips.map(({ms}) => ms)),
+      latency_ms: quantile(ages, 0.5),
+      latency_p95_ms: quantile(ages, 0.95),
+      round_trip_ms: quantile(this.roundTrips.map(({ms}) => ms), 0.5),
     };
   }
 }

@@ -12,21 +12,24 @@ const TEXTS = {
   drawn: rate => `${Math.round(rate)} /s`,
   dropped: rate => `${Math.round(rate)} /s`,
   latency_ms: ms => `${Math.round(ms)} ms`,
+  latency_p95_ms: ms => `${Math.round(ms)} ms`,
   round_trip_ms: ms => `${Math.round(ms)} ms`,
 };
 
 export class LinkPanel {
-  // box: the <details>. echo(sent_ms): asks the server for an answer to ``figures.echoed``.
-  constructor(box, echo) {
+  // box: the <details>. send(command, values): asks the server for an answer to ``figures.echoed``,
+  // and tells it the figures, for whoever watches over the robot.
+  constructor(box, send) {
     this.figures = new LinkFigures();
     setInterval(() => {
-      echo(this.figures.now());
-      this.#show(box);
+      send('echo', {sent_ms: this.figures.now()});
+      const {what, ...figures} = this.figures.figures();
+      send('link', figures);
+      this.#show(box, {what, ...figures});
     }, PERIOD_MS);
   }
 
-  #show(box) {
-    const figures = this.figures.figures();
+  #show(box, figures) {
     for (const [name, text] of Object.entries(TEXTS)) {
       const value = figures[name];
       box.querySelector(`[data-figure=${name}]`).textContent = value === null ? '–' : text(value);

@@ -3,7 +3,7 @@
 
 // Where the operator looks: by pointer, touch, wheel, keys and gamepad.
 
-import {radians} from './rotation.js';
+import {fromAngles, radians} from './rotation.js';
 
 const FOV = radians(100), MIN_FOV = radians(20), MAX_FOV = radians(140);
 // By keys and sticks: this share of the field of view per second.
@@ -15,13 +15,13 @@ const KEYS = {
   ArrowLeft: [1, 0, 0], ArrowRight: [-1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0],
   '+': [0, 0, 1], '=': [0, 0, 1], '-': [0, 0, -1],
 };
-const GAMEPAD_ACTIONS = {0: 'centre', 2: 'before', 9: 'reset'};
+const GAMEPAD_ACTIONS = {0: 'centre', 2: 'before', 3: 'snapshot', 8: 'record', 9: 'reset'};
 
 export class Look {
-  // changed() is called when yaw, pitch or fov (radians) have changed, press(id) for a button of
-  // the gamepad.
+  // changed() is called when yaw, pitch, roll or fov (radians) have changed, press(id) for a button
+  // of the gamepad.
   constructor(place, changed, press) {
-    Object.assign(this, {place, changed, press, yaw: 0, pitch: 0, fov: FOV});
+    Object.assign(this, {place, changed, press, yaw: 0, pitch: 0, roll: 0, fov: FOV});
     this.pointers = new Map();
     this.held = new Map();
     this.pressedButtons = new Set();
@@ -43,8 +43,19 @@ export class Look {
     addEventListener('gamepadconnected', () => this.#start());
   }
 
+  // R_virtual_view.
+  get direction() {
+    return fromAngles(this.yaw, this.pitch, this.roll);
+  }
+
   centre() {
     this.#set(0, 0, FOV);
+  }
+
+  // Looks where somebody else has found out: a headset, or how a phone is held.
+  turnTo(yaw, pitch, roll = 0) {
+    this.roll = roll;
+    this.#set(yaw, pitch, this.fov);
   }
 
   // A factor above 1 brings things closer.

@@ -3,28 +3,30 @@
 
 // The page: pictures in, look direction out, everything else around it.
 
+import {bindButtons, offerButtons} from './buttons.js';
+import {Commands} from './commands.js';
 import {Connection} from './connection.js';
+import {hasHeadset, Headset} from './headset.js';
 import {AttitudeDial, HeadingTape} from './instruments.js';
-import {inUse, Look} from './look.js';
+import {Look} from './look.js';
+import {LookSender} from './look_sender.js';
 import {LinkPanel} from './link_panel.js';
-import {$, linkText, showNotice, showSituation, showState} from './panels.js';
+import {$, linkText, showNotice, showSituation, showState, signOf} from './panels.js';
+import {hasSensor, PhoneSensor} from './phone_sensor.js';
+import {Pictures} from './pictures.js';
 import {Renderer} from './renderer.js';
-import {anglesOf, degrees, fromYawPitch, inverse, matrix, multiply} from './rotation.js';
+import {anglesOf, degrees, inverse, matrix, multiply} from './rotation.js';
+import {saveSnapshot} from './snapshot.js';
 import {canDecodeVideo} from './video_stream.js';
 
-const LOOK_PERIOD_MS = 33, INSTRUMENT_PERIOD_MS = 70;
-const SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
+const INSTRUMENT_PERIOD_MS = 70, SITUATION_PERIOD_MS = 200, DESCRIPTION_PERIOD_MS = 1000;
 const MAX_PIXEL_RATIO = 2;
 // Without a graphics card, fewer pixels sooner rather than all of them later.
 const SLOW_SHARE = 0.5;
-const NO_CONTROL = {
-  none: 'No connection.',
-  free: 'Nobody steers: take control first.',
-  taken: 'Another operator steers: take control first.',
-};
 // What the server tells, as long as it tells nothing.
 const UNTOLD = {
   control: 'none', robot: null, rate_hz: null, latency_ms: null, wantedMode: null, can_video: true,
+  recording: '',
 };
 
 const place = $('picture');
@@ -33,7 +35,7 @@ const state = {
   // Times are those of performance.now().
   connectedAt: performance.now(), reason: '', failure: '',
   // The picture on display, when it came, and whether it had an orientation.
-  pictureAt: null, stabilized: true, derotated: false, columns: Infinity,
+  pictureAt: null, stabilized: true, columns: Infinity,
   R_world_camera: [0, 0, 0, 1], R_world_virtual: [0, 0, 0, 1],
   raw: false,
   // Whether the processor draws, and whether the browser decodes video.
@@ -43,15 +45,16 @@ const state = {
   // The angles on the instruments.
   shown: '',
 };
-let renderer, waiting = null, drawRequested = false, lookTimer, lookedAt = 0;
+let renderer, connection, drawRequested = false;
 
 // Drawing.
 
 function requestDraw() {
-  if (drawRequested) return;
+  if (drawRequested || headset.active) return;
   drawRequested = true;
   requestAnimationFrame(() => {
     drawRequested = false;
+    if (headset.active) return;
     try {
       draw();
     } catch (error) {
@@ -61,60 +64,29 @@ function requestDraw() {
 }
 
 function draw() {
-  const picture = waiting;
-  waiting = null;
-  if (picture) {
-    const {image: {width, height}} = picture;
-    Object.assign(picture, {width, height});
-    state.columns = width;
-    renderer.load(picture.image);
-    // Without an orientation the last one has to do.
-    Object.assign(state, picture.orientation);
-    state.stabilized = picture.orientation !== null;
-    state.derotated = picture.derotated;
-  }
+  const picture = pictures.load(renderer);
   fit();
-  const R_virtual_view = fromYawPitch(look.yaw, look.pitch);
-  const R_world_view = multiply(state.raw ? state.R_world_camera : state.R_world_virtual,
-                                R_virtual_view);
-  const R_world_picture = state.derotated ? state.R_world_virtual : state.R_world_camera;
+  const R_world_view = viewed();
   const shown = renderer.draw(
-    matrix(multiply(inverse(R_world_picture), R_world_view)), look.fov);
-  if (picture) {
-    if (shown) {
-      Object.assign(state, {failure: '', pictureAt: performance.now()});
-      place.dataset.stampNs = picture.stamp_ns;
-      linkPanel.figures.drawn(picture);
-    }
-    connection.send('drawn', {sequence: picture.sequence});
-  }
+    matrix(multiply(inverse(renderer.R_world_picture ?? R_world_view), R_world_view)), look.fov);
+  if (picture) pictures.done(picture, shown);
+  return shown;
+}
+
+// R_world_view of the page.
+function viewed() {
+  return multiply(state.raw ? state.R_world_camera : state.R_world_virtual, look.direction);
 }
 
 // Less often than the picture: painting them takes longer than that does without a graphics card.
 function showInstruments() {
-  const heading = -degrees(anglesOf(multiply(
-    state.raw ? state.R_world_camera : state.R_world_virtual,
-    fromYawPitch(look.yaw, look.pitch))).yaw);
+  const heading = -degrees(anglesOf(viewed()).yaw);
   const {yaw, pitch, roll} = anglesOf(state.R_world_camera);
   const shown = [heading, -degrees(yaw), degrees(roll), degrees(pitch)].map(a => a.toFixed(1));
   if (shown.join() === state.shown) return;
   state.shown = shown.join();
   tape.show(Number(shown[0]), Number(shown[1]));
   dial.show(Number(shown[2]), Number(shown[3]));
-}
-
-function takePicture(picture) {
-  const {image, sequence} = picture;
-  if (image?.width !== 2 * image?.height) {
-    state.failure = image ? `The camera's picture, ${image.width}×${image.height}, is no ` +
-      'sphere: start the operator with --pictures stabilizer.' : 'A broken picture has come.';
-    image?.close();
-    connection.send('skipped', {sequence});
-    return;
-  }
-  waiting?.image.close();
-  waiting = picture;
-  requestDraw();
 }
 
 // Draws as many pixels as the window has; where they are slow, no more than the picture has in view.
@@ -150,18 +122,15 @@ function showLink() {
 // Looking.
 
 function looked() {
+  if (headset.active) return;
   state.moved = true;
   requestDraw();
   $('fov').textContent = `${Math.round(degrees(look.fov))}°`;
-  if (state.control === 'yours' && !lookTimer) {
-    lookTimer = setTimeout(sendLook, Math.max(0, lookedAt + LOOK_PERIOD_MS - performance.now()));
-  }
+  steer(look.direction);
 }
 
-function sendLook() {
-  lookTimer = null;
-  lookedAt = performance.now();
-  connection.send('look', {direction: fromYawPitch(look.yaw, look.pitch)});
+function steer(R_virtual_view) {
+  if (state.control === 'yours') lookSender.take(R_virtual_view);
 }
 
 // What the server tells.
@@ -174,7 +143,7 @@ function takeState(told) {
   const isNews = told.can_video !== state.can_video;
   Object.assign(state, told);
   if (isNews) showLink();
-  if (taken && state.moved) sendLook();
+  if (taken && state.moved) steer(look.direction);
   showState(state);
 }
 
@@ -186,28 +155,8 @@ function takeNotice({text, ok, done}) {
 
 // What the operator does.
 
-// Asks the robot for something, or says why it would be in vain; tells whether it has asked.
-function ask(command, possible, values) {
-  if (state.control === 'yours' && possible) return connection.send(command, values);
-  showNotice(state.control !== 'yours' ? NO_CONTROL[state.control]
-    : state.robot.tracking ? 'This stabilizer does not offer that.'
-      : 'The stabilizer does not answer.', false);
-  return false;
-}
-
-function setMode(mode) {
-  if (ask('set_mode', state.robot?.modes.length, {mode})) state.wantedMode = mode;
-  showState(state);
-}
-
-function nextMode() {
-  const {modes, mode} = state.robot ?? {modes: []};
-  setMode(modes[(modes.indexOf(state.wantedMode ?? mode) + 1) % modes.length]);
-}
-
 function takeControl() {
-  if (!connection.send('take_control')) showNotice(NO_CONTROL.none, false);
-  state.moved = true;
+  commands.take();
   place.focus();
 }
 
@@ -223,19 +172,58 @@ function toggleFull() {
   else document.documentElement.requestFullscreen?.();
 }
 
+function snapshot() {
+  if (headset.active || !draw()) showNotice('There is no picture on this page to save.', false);
+  else showNotice(`Saved: ${saveSnapshot(renderer.canvas, place.dataset.stampNs)}`);
+}
+
+async function toggleHeadset() {
+  if (headset.active) headset.leave();
+  else await headset.enter(look.yaw).catch(error => showNotice(error.message, false));
+  showHeadset();
+}
+
+function leaveHeadset({yaw, pitch}, reason) {
+  if (reason) showNotice(`The headset has stopped: ${reason}`, false);
+  look.turnTo(yaw, pitch);
+  showHeadset();
+}
+
+// Whoever draws now has no picture yet.
+function showHeadset() {
+  $('headset').setAttribute('aria-pressed', headset.active);
+  if (headset.active) document.documentElement.classList.add('in-headset');
+  if (state.connectedAt !== null) {
+    Object.assign(state, {connectedAt: performance.now(), pictureAt: null});
+  }
+}
+
+function toggleSensor() {
+  if (sensor.active) sensor.stop();
+  else sensor.start();
+  showSensor();
+}
+
+function showSensor() {
+  $('sensor').setAttribute('aria-pressed', sensor.active);
+  if (!sensor.active) look.turnTo(look.yaw, look.pitch);
+}
+
 const actions = {
-  reset: () => ask('reset_heading', state.robot?.can_reset),
-  level: () => ask('level', state.robot?.can_level),
+  reset: () => commands.reset(),
+  level: () => commands.level(),
   centre: () => look.centre(),
   before: toggleRaw,
   out: () => look.zoom(1 / 1.25),
   in: () => look.zoom(1.25),
+  snapshot,
+  record: () => commands.record(),
+  sensor: toggleSensor,
+  headset: toggleHeadset,
   full: toggleFull,
   keys: () => $('help').showModal(),
   take: takeControl,
-};
-const keyActions = {
-  r: 'reset', l: 'level', Home: 'centre', b: 'before', f: 'full', '?': 'keys', c: 'take',
+  nextMode: () => commands.nextMode(),
 };
 
 // Start.
@@ -243,18 +231,41 @@ const keyActions = {
 // The address chooses by ?video=jpeg.
 state.takesVideo = new URLSearchParams(location.search).get('video') !== 'jpeg'
   && await canDecodeVideo();
+const send = (command, values) => connection?.send(command, values);
 const tape = new HeadingTape($('tape'));
 const dial = new AttitudeDial($('attitude'));
+const linkPanel = new LinkPanel($('link-panel'), send);
+const commands = new Commands(state, send);
+const lookSender = new LookSender(direction => send('look', {direction}));
+const pictures = new Pictures(state, send, picture => {
+  place.dataset.stampNs = picture.stamp_ns;
+  document.documentElement.classList.toggle('in-headset', headset.active);
+  linkPanel.figures.drawn(picture);
+});
+const headset = new Headset({
+  load: renderer => pictures.load(renderer),
+  drawn: picture => pictures.done(picture, true),
+  R_world_virtual: () => state.R_world_virtual,
+  looked: steer,
+  sign: () => signOf(state),
+  take: () => { if (state.control !== 'yours') commands.take(); },
+  level: actions.level,
+  ended: leaveHeadset,
+});
 const look = new Look(place, looked, id => actions[id]());
-const linkPanel = new LinkPanel($('link-panel'), sent_ms => connection?.send('echo', {sent_ms}));
-let connection;
+const sensor = new PhoneSensor(
+  (left, pitch, roll) => look.turnTo(look.yaw + left, pitch, roll),
+  reason => {
+    showNotice(reason, false);
+    showSensor();
+  });
 try {
   renderer = new Renderer(place, takeFallBack);
   state.slow = renderer.slow;
   showLink();
   connection = new Connection({
-    maxColumns: () => renderer.maxColumns,
-    picture: takePicture,
+    maxColumns: () => Math.min(renderer.maxColumns, headset.maxColumns),
+    picture: picture => { if (pictures.take(picture)) requestDraw(); },
     state: takeState,
     notice: takeNotice,
     echo: told => linkPanel.figures.echoed(told),
@@ -275,24 +286,13 @@ try {
   showSituation(state);
 }
 
-for (const [id, action] of Object.entries(actions)) $(id).addEventListener('click', action);
-addEventListener('keydown', event => {
-  if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
-  if (document.querySelector('dialog[open]')) return;
-  const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-  if (key === 'm') nextMode();
-  else if (keyActions[key] && !(key === 'Home' && inUse(event.target))) {
-    event.preventDefault();
-    actions[keyActions[key]]();
-  }
-});
+bindButtons(actions);
+offerButtons({full: document.fullscreenEnabled, headset: hasHeadset(), sensor: hasSensor()});
 $('modes').addEventListener('change', ({target}) => {
-  setMode(target.value);
+  commands.setMode(target.value);
   // After a click arrow keys look around again; those who came by keyboard go on choosing.
   if (!target.matches(':focus-visible')) place.focus();
 });
-// Some telephones have none.
-$('full').hidden = !document.fullscreenEnabled;
 document.addEventListener('fullscreenchange', () =>
   $('full').setAttribute('aria-pressed', Boolean(document.fullscreenElement)));
 setInterval(showInstruments, INSTRUMENT_PERIOD_MS);

@@ -36,6 +36,10 @@ export function showState(state) {
     // Unlike a disabled button one can still come to it by keyboard and hear why it does nothing.
     $(id).setAttribute('aria-disabled', control !== 'yours' || !possible);
   }
+  $('record').setAttribute('aria-disabled', control !== 'yours');
+  $('record').setAttribute('aria-pressed', Boolean(state.recording));
+  $('record').title = state.recording ? `Recording ${state.recording} (V: stop)`
+    : 'Record pictures and orientations on the robot (V)';
   // The mode asked for is shown at once, until the answer is there.
   showModes(robot?.modes ?? [], state.wantedMode ?? robot?.mode, control === 'yours');
   showSituation(state);
@@ -101,6 +105,19 @@ export function showSituation(state) {
   setText($('alarm').querySelector('strong'), now.alarm ? now.text : '');
   setText($('since'), now.alarm && now.since || '');
   setText($('alarm').querySelector('span'), now.alarm ? now.detail : '');
+}
+
+// Returns what is said within a headset, whose user does not see the page, and whether the picture may
+// turn with the robot.
+export function signOf(state) {
+  const now = situation({...state, raw: false, now: performance.now()});
+  const control = state.control === 'yours' || state.control === 'none' ? ''
+    : `${$('control').firstElementChild.textContent} The trigger takes control.`;
+  return {
+    text: [now.text, now.since].filter(Boolean).join(' '), alarm: Boolean(now.alarm),
+    turning: now.name === 'lost' || now.name === 'unstabilized',
+    detail: now.alarm ? now.detail : $('notice').textContent || control,
+  };
 }
 
 // Only changes are read out.

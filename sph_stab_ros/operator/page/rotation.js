@@ -24,6 +24,16 @@ export function fromYawPitch(yaw, pitch) {
                   [Math.sin(pitch / 2), 0, 0, Math.cos(pitch / 2)]);
 }
 
+// The same, leaning to the right by roll.
+export function fromAngles(yaw, pitch, roll) {
+  return multiply(fromYawPitch(yaw, pitch), [0, 0, Math.sin(roll / 2), Math.cos(roll / 2)]);
+}
+
+// Of a rotation about the vertical alone: the same yaw with a level horizon.
+export function levelled(quaternion) {
+  return fromYawPitch(anglesOf(quaternion).yaw, 0);
+}
+
 // The 3×3 matrix by columns, as WebGL takes it.
 export function matrix([x, y, z, w]) {
   return [

@@ -4,15 +4,17 @@
 // Draws a perspective view of an equirectangular picture with WebGL 2: a globe of flat facets with
 // the picture on it, seen from its centre. A facet of 2.8° is not off by more than 0.02°.
 
+import {programOf} from './webgl.js';
+
 const COLUMNS = 128, ROWS = 64;
 const DARK = 16;
-// How many pictures the card may draw black that are not.
+// How many pictures the card may draw black that are not; in a headset nobody can look.
 const TRIALS = 3;
 
 const VERTEX_SHADER = `#version 300 es
 const float PI = 3.14159265358979;
 uniform mat3 R_camera_view;
-uniform vec2 extent;  // tangents of half the fields of view
+uniform vec4 lens;  // see drawInto
 out vec2 place;
 void main() {
   // A strip of triangles for each row of facets.
@@ -20,7 +22,7 @@ void main() {
   float lon = (place.x - 0.5) * 2.0 * PI, lat = (0.5 - place.y) * PI;
   vec3 x_camera = vec3(cos(lat) * sin(lon), -sin(lat), cos(lat) * cos(lon));
   vec3 x = x_camera * R_camera_view;  // from the left: by its inverse
-  gl_Position = vec4(x.x / extent.x, -x.y / extent.y, 0, x.z);
+  gl_Position = vec4(lens.x * x.x - lens.z * x.z, -lens.y * x.y - lens.w * x.z, 0, x.z);
 }`;
 
 const FRAGMENT_SHADER = `#version 300 es
@@ -39,10 +41,11 @@ void main() {
 
 export class SphereRenderer {
   // failed(reason): called where the context is lost. Throws an Error where the browser cannot do it,
-  // as do the methods where it fails.
-  constructor(canvas, failed = () => {}) {
-    this.canvas = canvas;
-    this.gl = canvas.getContext('webgl2', {alpha: false, antialias: false, depth: false});
+  // as do the methods where it fails. xrCompatible: whether a headset is to show it.
+  constructor(canvas, failed = () => {}, xrCompatible = false) {
+    Object.assign(this, {canvas, allowance: xrCompatible ? 0 : TRIALS});
+    this.gl = canvas.getContext(
+      'webgl2', {alpha: false, antialias: false, depth: false, xrCompatible});
     if (!this.gl) throw new Error('This browser has no WebGL 2.');
     this.slow = false;
     this.maxColumns = this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
@@ -53,21 +56,10 @@ export class SphereRenderer {
 
   #prepare() {
     const gl = this.gl;
-    const program = gl.createProgram();
-    for (const [type, source] of [[gl.VERTEX_SHADER, VERTEX_SHADER],
-                                  [gl.FRAGMENT_SHADER, FRAGMENT_SHADER]]) {
-      const shader = gl.createShader(type);
-      gl.shaderSource(shader, source);
-      gl.compileShader(shader);
-      gl.attachShader(program, shader);
-    }
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
-      throw new Error(`WebGL: ${gl.getProgramInfoLog(program) ?? 'no program'}`);
-    }
+    const program = this.program = programOf(gl, VERTEX_SHADER, FRAGMENT_SHADER);
     gl.useProgram(program);
     this.rotation = gl.getUniformLocation(program, 'R_camera_view');
-    this.extent = gl.getUniformLocation(program, 'extent');
+    this.lens = gl.getUniformLocation(program, 'lens');
     this.planar = gl.getUniformLocation(program, 'planar');
     ['sphere', 'cb', 'cr'].forEach((name, unit) => {
       gl.uniform1i(gl.getUniformLocation(program, name), unit);
@@ -89,6 +81,7 @@ export class SphereRenderer {
     if (width > this.maxColumns) {
       throw new Error(`The graphics card takes ${this.maxColumns} columns, not ${width}.`);
     }
+    gl.useProgram(this.program);
     gl.uniform1i(this.planar, Boolean(image.planes));
     if (image.planes) {
       image.planes.forEach(({data, width, height, stride}, unit) => {
@@ -104,7 +97,7 @@ export class SphereRenderer {
     if (width !== this.width || height !== this.height) {
       // Memory may be short. To ask more often takes time.
       this.#check();
-      Object.assign(this, {width, height, trials: TRIALS});
+      Object.assign(this, {width, height, trials: this.allowance});
     }
     // What is black proves nothing.
     this.onTrial = this.trials > 0 && !isBlack(image);
@@ -114,14 +107,24 @@ export class SphereRenderer {
   // Draws what lies along R_camera_view (9, by columns); fov in radians is that of the longer side.
   // Tells whether there is something to see.
   draw(R_camera_view, fov) {
-    const gl = this.gl, {width, height} = this.canvas;
+    const {width, height} = this.canvas;
     if (!this.width || !width || !height) return false;
-    gl.viewport(0, 0, width, height);
     const perPixel = Math.tan(fov / 2) / Math.max(width, height);
-    gl.uniform2f(this.extent, width * perPixel, height * perPixel);
+    this.drawInto({x: 0, y: 0, width, height},
+                  [1 / (width * perPixel), 1 / (height * perPixel), 0, 0], R_camera_view);
+    return !this.onTrial || this.#drewSomething(width, height);
+  }
+
+  // Draws into a rectangle, {x, y, width, height}, of whatever framebuffer is bound. The lens is of
+  // OpenGL's projection: its elements 0 and 5, by which tangents become places within −1 and 1, and
+  // 8 and 9, by which its axis is off the middle.
+  drawInto({x, y, width, height}, lens, R_camera_view) {
+    const gl = this.gl;
+    gl.useProgram(this.program);
+    gl.viewport(x, y, width, height);
+    gl.uniform4fv(this.lens, lens);
     gl.uniformMatrix3fv(this.rotation, false, R_camera_view);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 2 * (COLUMNS + 1), ROWS);
-    return !this.onTrial || this.#drewSomething(width, height);
   }
 
   #check() {
