@@ -45,7 +45,7 @@ _TYPES: dict[str, Any] = {
     'b': _Array(np.uint8), 'd': _Array(np.float64), 'f': _Array(np.float32),
     'l': _Array(np.int64), 'B': _Array(np.uint8, True), 'D': _Array(np.float64, True),
     'F': _Array(np.float32, True),
-    'i': ctypes.c_int, 'x': ctypes.c_float,
+    'i': ctypes.c_int, 'x': ctypes.c_float, 'y': ctypes.c_double,
 }
 # As in kernels.c.
 MAX_CELL = 8
@@ -56,9 +56,10 @@ _ARGUMENTS = {
     'read_pixels': 'ibiiffF',
     'settle_patches': 'ilddddbiiifffiixixxxDFF',
     'pose_residuals': 'idddddddD',
-    'pose_equations': 'iddddddddDDDDD',
+    'fit_pose': 'idddddddyiiyyyiyyyDDDDDDDD',
+    'fit_depths': 'iddddddiyddD',
     'bundle_residuals': 'illlddddddD',
-    'bundle_equations': 'iilllldddddddDDDDD',
+    'bundle_equations': 'iiilllldddddddDDDDD',
 }
 
 

@@ -266,7 +266,7 @@ INLINE void read_some(int n, const uint8_t *image, int height, int width, const 
                       const float *v, float du, float dv, float *grey) {
   int index[PIXELS];
   float right[PIXELS], down[PIXELS];
-  uint8_t corners[4][PIXELS];
+  uint8_t above[PIXELS][2], below[PIXELS][2];
   for (int k = 0; k < n; k++) {
     const float column = fminf(fmaxf(u[k] + du, 0), width - 1.001f);
     const float row = fminf(fmaxf(v[k] + dv, 0), height - 1.001f);
@@ -277,15 +277,13 @@ INLINE void read_some(int n, const uint8_t *image, int height, int width, const 
   }
   for (int k = 0; k < n; k++) {
     const uint8_t *pixel = image + index[k];
-    corners[0][k] = pixel[0];
-    corners[1][k] = pixel[1];
-    corners[2][k] = pixel[width];
-    corners[3][k] = pixel[width + 1];
+    memcpy(above[k], pixel, 2);
+    memcpy(below[k], pixel + width, 2);
   }
   for (int k = 0; k < n; k++) {
-    const float above = corners[0][k] + right[k] * (corners[1][k] - corners[0][k]);
-    const float below = corners[2][k] + right[k] * (corners[3][k] - corners[2][k]);
-    grey[k] = above + down[k] * (below - above);
+    const float upper = above[k][0] + right[k] * (above[k][1] - above[k][0]);
+    const float lower = below[k][0] + right[k] * (below[k][1] - below[k][0]);
+    grey[k] = upper + down[k] * (lower - upper);
   }
 }
 
@@ -390,44 +388,171 @@ INLINE void see(const double R[9], const double p[3], const double x[3], const d
   turn(R, in_world, z);
 }
 
-// pose.residuals.
+// Its residuals: how far off y it is seen, in deviations along the tangents W.
+INLINE void whitened(const double R[9], const double p[3], const double x[3], const double c[3],
+                     double rho, const double y[3], const double W[6], double r[2]) {
+  double q[3], z[3], off[3];
+  see(R, p, x, c, rho, q, z);
+  const double length = sqrt(dot(z, z));
+  for (int j = 0; j < 3; j++) off[j] = z[j] / length - y[j];
+  for (int k = 0; k < 2; k++) r[k] = dot(W + 3 * k, off);
+}
+
+// pose_estimation.residuals.
 void pose_residuals(int n, const double *R, const double *p, const double *x,
                     const double *origins, const double *rho, const double *y,
                     const double *sqrt_information, double *r) {
-  for (int i = 0; i < n; i++) {
-    double q[3], z[3], off[3];
-    see(R, p, x + 3 * i, origins + 3 * i, rho[i], q, z);
-    const double length = sqrt(dot(z, z));
-    for (int j = 0; j < 3; j++) off[j] = z[j] / length - y[3 * i + j];
-    for (int k = 0; k < 2; k++) r[2 * i + k] = dot(sqrt_information + 6 * i + 3 * k, off);
+  for (int i = 0; i < n; i++)
+    whitened(R, p, x + 3 * i, origins + 3 * i, rho[i], y + 3 * i, sqrt_information + 6 * i,
+             r + 2 * i);
+}
+
+// The rows of a point's residuals by the pose, and how they change with its inverse depth.
+INLINE void pose_rows(const double R[9], const double p[3], const double x[3], const double c[3],
+                      double rho, const double W[6], double J[2][6], double J_rho[2]) {
+  double q[3], z[3], along_b[2], M[6];
+  see(R, p, x, c, rho, q, z);
+  look(W, z, along_b, M);
+  for (int k = 0; k < 2; k++) {
+    double along[3];
+    cross(z, M + 3 * k, J[k]);
+    turn_back(R, M + 3 * k, along);
+    for (int j = 0; j < 3; j++) J[k][3 + j] = -rho * along[j];
+    J_rho[k] = -dot(along, q);
   }
 }
 
-// pose.equations; H and g start at zero, the rest is set.
-void pose_equations(int n, const double *R, const double *p, const double *x,
-                    const double *origins, const double *rho, const double *sqrt_information,
-                    const double *r, const double *weights, double *H, double *g, double *H_rp,
-                    double *H_rr, double *g_r) {
-  for (int i = 0; i < n; i++) {
-    double q[3], z[3], along_b[2], M[6], J[2][6], J_rho[2];
-    see(R, p, x + 3 * i, origins + 3 * i, rho[i], q, z);
-    look(sqrt_information + 6 * i, z, along_b, M);
-    for (int k = 0; k < 2; k++) {
-      double along[3];
-      cross(z, M + 3 * k, J[k]);
-      turn_back(R, M + 3 * k, along);
-      for (int j = 0; j < 3; j++) J[k][3 + j] = -rho[i] * along[j];
-      J_rho[k] = -dot(along, q);
+// The upper median of values, which it reorders (C. A. R. Hoare, Algorithm 65: find, 1961).
+static double upper_median(int n, double *values) {
+  const int middle = n / 2;
+  int from = 0, to = n - 1;
+  while (from < to) {
+    const double pivot = values[middle];
+    int i = from, j = to;
+    while (i <= j) {
+      // Within bounds whatever is no number.
+      while (i < to && values[i] < pivot) i++;
+      while (j > from && values[j] > pivot) j--;
+      if (i > j) break;
+      const double swapped = values[i];
+      values[i++] = values[j];
+      values[j--] = swapped;
     }
-    const double w = weights[i], *residual = r + 2 * i;
-    H_rr[i] = w * (J_rho[0] * J_rho[0] + J_rho[1] * J_rho[1]);
-    g_r[i] = w * (J_rho[0] * residual[0] + J_rho[1] * residual[1]);
-    for (int a = 0; a < 6; a++) {
-      H_rp[6 * i + a] = w * (J_rho[0] * J[0][a] + J_rho[1] * J[1][a]);
-      g[a] += w * (J[0][a] * residual[0] + J[1][a] * residual[1]);
-      for (int b = 0; b < 6; b++) H[6 * a + b] += w * (J[0][a] * J[0][b] + J[1][a] * J[1][b]);
-    }
+    if (j < middle) from = i;
+    if (i > middle) to = j;
   }
+  return values[middle];
+}
+
+// Solve H x = g for a symmetric positive definite H, by A.-L. Cholesky's decomposition.
+static void solve(const double H[36], const double g[6], double x[6]) {
+  double L[36];
+  for (int i = 0; i < 6; i++) {
+    for (int j = 0; j <= i; j++) {
+      double sum = H[6 * i + j];
+      for (int k = 0; k < j; k++) sum -= L[6 * i + k] * L[6 * j + k];
+      L[6 * i + j] = i == j ? sqrt(fmax(sum, 1e-300)) : sum / L[7 * j];
+    }
+    x[i] = g[i];
+    for (int k = 0; k < i; k++) x[i] -= L[6 * i + k] * x[k];
+    x[i] /= L[7 * i];
+  }
+  for (int i = 5; i >= 0; i--) {
+    for (int k = i + 1; k < 6; k++) x[i] -= L[6 * k + i] * x[k];
+    x[i] /= L[7 * i];
+  }
+}
+
+// Turn R by a rotation vector of the frame into which it leads (O. Rodrigues' formula).
+static void turn_further(const double rotvec[3], double R[9]) {
+  const double angle = sqrt(dot(rotvec, rotvec)), half = fmax(angle / 2, 1e-9);
+  const double along = sin(2 * half) / (2 * half), back = sin(half) * sin(half) / (2 * half * half);
+  for (int i = 0; i < 3; i++) {
+    const double column[3] = {R[i], R[3 + i], R[6 + i]};
+    double once[3], twice[3];
+    cross(rotvec, column, once);
+    cross(rotvec, once, twice);
+    for (int j = 0; j < 3; j++) R[3 * j + i] += along * once[j] + back * twice[j];
+  }
+}
+
+// pose_estimation._fit. R, p, rho and all that follows are written; of these the first is the
+// start, and work (10 n) is nobody's.
+WITH_WIDE_VECTORS
+void fit_pose(int n, const double *x, const double *origins, const double *rho_0,
+              const double *information, const double *y, const double *sqrt_information,
+              const double *say, double position_sigma, int max_iterations, int min_iterations,
+              double step_tolerance, double max_inverse_depth, double width, int power,
+              double wide_start, double min_scale, double max_scale, double *R, double *p,
+              double *rho, double *sizes, double *weights, double *scale, double *H,
+              double *work) {
+  const double median_1d = 0.6745, median_2d = 1.1774, p_0[3] = {p[0], p[1], p[2]};
+  double *ratios = work, *H_rr = work + n, *g_r = work + 2 * n, *H_rp = work + 4 * n;
+  for (int i = 0; i < n; i++) H_rr[i] = information[i];
+  for (int iteration = 0; iteration < max_iterations; iteration++) {
+    for (int i = 0; i < n; i++) {
+      double r[2];
+      whitened(R, p, x + 3 * i, origins + 3 * i, rho[i], y + 3 * i, sqrt_information + 6 * i, r);
+      sizes[i] = sqrt(r[0] * r[0] + r[1] * r[1]);
+      ratios[i] = sizes[i] / (median_1d + (median_2d - median_1d) * information[i] / H_rr[i]);
+    }
+    *scale = fmin(fmax(upper_median(n, ratios), min_scale), max_scale);
+    const double half_at = width * *scale * fmax(1, wide_start / (1 << iteration));
+    double g[6] = {0}, step[6], longest = 0;
+    for (int k = 0; k < 36; k++) H[k] = 0;
+    for (int i = 0; i < n; i++) {
+      double r[2], J[2][6], J_rho[2], *to_depth = H_rp + 6 * i;
+      const double off = sizes[i] / half_at, weight = 1 / (1 + off * off);
+      weights[i] = power == 1 ? weight : pow(weight, power);
+      const double w = say[i] * weights[i] / (*scale * *scale);
+      whitened(R, p, x + 3 * i, origins + 3 * i, rho[i], y + 3 * i, sqrt_information + 6 * i, r);
+      pose_rows(R, p, x + 3 * i, origins + 3 * i, rho[i], sqrt_information + 6 * i, J, J_rho);
+      H_rr[i] = information[i] + w * (J_rho[0] * J_rho[0] + J_rho[1] * J_rho[1]);
+      g_r[i] = information[i] * (rho[i] - rho_0[i]) + w * (J_rho[0] * r[0] + J_rho[1] * r[1]);
+      for (int a = 0; a < 6; a++) to_depth[a] = w * (J_rho[0] * J[0][a] + J_rho[1] * J[1][a]);
+      for (int a = 0; a < 6; a++) {
+        const double first = w * J[0][a], second = w * J[1][a], by = to_depth[a] / H_rr[i];
+        g[a] += first * r[0] + second * r[1] - by * g_r[i];
+        for (int b = 0; b < 6; b++)
+          H[6 * a + b] += first * J[0][b] + second * J[1][b] - by * to_depth[b];
+      }
+    }
+    const double firmness = 1 / (position_sigma * position_sigma);
+    for (int j = 0; j < 3; j++) {
+      H[7 * (3 + j)] += firmness;
+      g[3 + j] += firmness * (p[j] - p_0[j]);
+    }
+    solve(H, g, step);
+    for (int j = 0; j < 6; j++) {
+      step[j] = -step[j];
+      longest = fmax(longest, fabs(step[j]));
+    }
+    for (int i = 0; i < n; i++) {
+      double changed = g_r[i];
+      for (int j = 0; j < 6; j++) changed += H_rp[6 * i + j] * step[j];
+      rho[i] = fmin(fmax(rho[i] - changed / H_rr[i], 0), max_inverse_depth);
+    }
+    turn_further(step, R);
+    for (int j = 0; j < 3; j++) p[j] += step[3 + j];
+    if (iteration + 1 >= min_iterations && longest < step_tolerance) break;
+  }
+}
+
+// pose_estimation.depths_at; rho is the start and becomes the fit.
+WITH_WIDE_VECTORS
+void fit_depths(int n, const double *x, const double *origins, const double *rho_0,
+                const double *information, const double *y, const double *sqrt_information,
+                int iterations, double max_inverse_depth, const double *R, const double *p,
+                double *rho) {
+  for (int i = 0; i < n; i++)
+    for (int iteration = 0; iteration < iterations; iteration++) {
+      double r[2], J[2][6], J_rho[2];
+      whitened(R, p, x + 3 * i, origins + 3 * i, rho[i], y + 3 * i, sqrt_information + 6 * i, r);
+      pose_rows(R, p, x + 3 * i, origins + 3 * i, rho[i], sqrt_information + 6 * i, J, J_rho);
+      const double H = information[i] + J_rho[0] * J_rho[0] + J_rho[1] * J_rho[1];
+      const double g = information[i] * (rho[i] - rho_0[i]) + J_rho[0] * r[0] + J_rho[1] * r[1];
+      rho[i] = fmin(fmax(rho[i] - g / H, 0), max_inverse_depth);
+    }
 }
 
 // What a observation of a point x with inverse depth rho, hosted by keyframe h, in keyframe k says.
@@ -446,7 +571,7 @@ INLINE void sight(const double *R_h, const double *p_h, const double *R_k,
   for (int k = 0; k < 2; k++) r[k] -= dot(sqrt_information + 3 * k, y);
 }
 
-// bundle.residuals.
+// bundle_window.residuals.
 void bundle_residuals(int observations, const int64_t *keyframe, const int64_t *host,
                       const int64_t *point, const double *R, const double *p, const double *x,
                       const double *rho, const double *y, const double *sqrt_information, double *r) {
@@ -458,43 +583,67 @@ void bundle_residuals(int observations, const int64_t *keyframe, const int64_t *
   }
 }
 
-// bundle.normal_equations; slots (keyframes) are the places of those that are free, −1 of others.
-// All sums start at zero.
-void bundle_equations(int observations, int columns, const int64_t *keyframe, const int64_t *host,
-                      const int64_t *point, const int64_t *slots, const double *R,
-                      const double *p, const double *x, const double *rho, const double *y,
-                      const double *sqrt_information, const double *weights, double *H, double *g,
-                      double *H_rp, double *H_rr, double *g_r) {
+// Add weight · aᵀ c to a block of H, for two rows of up to 6 columns.
+INLINE void add_products(double *restrict block, int columns, int high, int wide,
+                         const double a[2][6], const double c[2][6], double weight) {
+  for (int j = 0; j < high; j++) {
+    const double first = weight * a[0][j], second = weight * a[1][j];
+    for (int l = 0; l < wide; l++) block[j * columns + l] += first * c[0][l] + second * c[1][l];
+  }
+}
+
+// bundle_window.pose_and_point_equations; slots (keyframes) are the places of those that are
+// free, −1 of others; from the column lenses on, if it is one, are those of the lenses. All sums
+// start at zero.
+WITH_WIDE_VECTORS
+void bundle_equations(int observations, int columns, int lenses, const int64_t *keyframe,
+                      const int64_t *host, const int64_t *point, const int64_t *slots,
+                      const double *R, const double *p, const double *x, const double *rho,
+                      const double *y, const double *sqrt_information, const double *weights,
+                      double *restrict H, double *restrict g, double *restrict H_rp,
+                      double *restrict H_rr, double *restrict g_r) {
   for (int m = 0; m < observations; m++) {
     const int64_t k = keyframe[m], h = host[m], i = point[m];
-    const double weight = weights[m];
-    double x_world[3], q[3], z[3], r[2], M[6], J[2][2][6];
-    sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x + 3 * i, rho[i], y + 3 * m,
-          sqrt_information + 6 * m, x_world, q, z, r, M);
-    const int64_t places[2] = {6 * slots[k], 6 * slots[h]};
+    const double weight = weights[m], *x_h = x + 3 * i, *y_k = y + 3 * m;
+    double x_world[3], q[3], z[3], r[2], M[6], J[3][2][6], J_rho[2];
+    sight(R + 9 * h, p + 3 * h, R + 9 * k, p + 3 * k, x_h, rho[i], y_k, sqrt_information + 6 * m,
+          x_world, q, z, r, M);
     for (int row = 0; row < 2; row++) {
-      const double *along = M + 3 * row, J_rho = -dot(along, q);
+      const double *along = M + 3 * row;
+      J_rho[row] = -dot(along, q);
       cross(along, z, J[0][row]);
       cross(x_world, along, J[1][row]);
       for (int j = 0; j < 3; j++) {
         J[0][row][3 + j] = -rho[i] * along[j];
         J[1][row][3 + j] = rho[i] * along[j];
       }
-      H_rr[i] += weight * J_rho * J_rho;
-      g_r[i] += weight * J_rho * r[row];
-      for (int a = 0; a < 2; a++) {
-        if (places[a] < 0) continue;
-        for (int j = 0; j < 6; j++) {
-          const double weighted = weight * J[a][row][j];
-          g[places[a] + j] += weighted * r[row];
-          H_rp[i * columns + places[a] + j] += weighted * J_rho;
-          for (int c = 0; c < 2; c++) {
-            if (places[c] < 0) continue;
-            double *sums = H + (places[a] + j) * columns + places[c];
-            for (int l = 0; l < 6; l++) sums[l] += weighted * J[c][row][l];
-          }
-        }
+      if (lenses < 0) continue;
+      double at_host[3], by_x[3], by_y[3];
+      turn_back(R + 9 * h, along, at_host);
+      cross(x_h, at_host, by_x);
+      cross(y_k, sqrt_information + 6 * m + 3 * row, by_y);
+      for (int j = 0; j < 3; j++)
+        J[2][row][j] = (x_h[2] > 0 ? 0.5 : -0.5) * by_x[j] - (y_k[2] > 0 ? 0.5 : -0.5) * by_y[j];
+    }
+    H_rr[i] += weight * (J_rho[0] * J_rho[0] + J_rho[1] * J_rho[1]);
+    g_r[i] += weight * (J_rho[0] * r[0] + J_rho[1] * r[1]);
+    const int64_t places[3] = {6 * slots[k], 6 * slots[h], lenses};
+    const int sizes[3] = {6, 6, 3};
+    for (int a = 0; a < 3; a++) {
+      if (places[a] < 0) continue;
+      for (int j = 0; j < sizes[a]; j++) {
+        g[places[a] + j] += weight * (J[a][0][j] * r[0] + J[a][1][j] * r[1]);
+        H_rp[i * columns + places[a] + j] +=
+            weight * (J[a][0][j] * J_rho[0] + J[a][1][j] * J_rho[1]);
       }
+      // The other half of H is added at the end.
+      for (int c = a; c < 3; c++)
+        if (places[c] >= 0)
+          add_products(H + places[a] * columns + places[c], columns, sizes[a], sizes[c], J[a],
+                       J[c], c == a ? weight / 2 : weight);
     }
   }
+  for (int i = 0; i < columns; i++)
+    for (int j = 0; j <= i; j++)
+      H[i * columns + j] = H[j * columns + i] += H[i * columns + j];
 }

@@ -8,6 +8,7 @@
 
 """What is compiled does the same as what is written in NumPy."""
 
+from dataclasses import replace
 import shutil
 
 from bundle_windows import perturbed, true_window
@@ -20,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
 from sph_stab_ros.geometry.warp import perspective_view, rotate_equirect
-from sph_stab_ros.tracking.anchored import bundle_adjustment, pose_estimation
+from sph_stab_ros.tracking.anchored import bundle_adjustment, bundle_window, pose_estimation
 from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from synthetic import random_rotation, textured_sphere, unit
 
@@ -53,16 +54,26 @@ def assert_close(compiled, in_numpy):
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_equations_of_a_pose(both, seed):
+def test_fits_of_a_pose(both, seed):
     rng = np.random.default_rng(seed)
     R = random_rotation(rng, 50)
     seen = points(rng, R, POSITION, noise_rad=1e-3, information=10.)
-    state = ((random_rotation(rng, 2) * R).as_matrix(), POSITION + 0.01,
-             1.1 * seen.inverse_depths)
-    r = pose_estimation.residuals(seen, *state)
-    assert_close(*both(lambda: (pose_estimation.residuals(seen, *state),)))
-    weights = rng.uniform(size=len(seen))
-    assert_close(*both(lambda: pose_estimation.equations(seen, *state, r, weights)))
+    near = random_rotation(rng, 2) * R
+    state = near.as_matrix(), POSITION + 0.01
+    assert_close(*both(lambda: (
+        pose_estimation.residuals(seen, *state, 1.1 * seen.inverse_depths),)))
+    options = pose_estimation.PoseOptions()
+    assert_close(*both(lambda: (pose_estimation.depths_at(seen, *state, options),)))
+    say = rng.uniform(0.5, 1, len(seen))
+    for power in 1, 2:
+        options = replace(options, loss=replace(options.loss, power=power))
+
+        def fitted():
+            pose = pose_estimation.fit_pose(
+                seen, near, POSITION + 0.01, 0.1, options, say)
+            return (pose.R_camera_world.as_matrix(), pose.position, pose.inverse_depths,
+                    pose.sizes, pose.weights, pose.scale, pose.covariance)
+        assert_close(*both(fitted))
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -70,14 +81,17 @@ def test_equations_of_a_bundle(both, seed):
     rng = np.random.default_rng(seed)
     window = perturbed(rng, true_window(rng, noise_rad=1e-3))
     state = window.R, window.p, window.inverse_depths
-    assert_close(*both(lambda: (bundle_adjustment.residual_lengths(window, *state),)))
-    sizes = bundle_adjustment.residual_lengths(window, *state)
+    assert_close(*both(lambda: (bundle_window.residual_lengths(window, *state),)))
+    sizes = bundle_window.residual_lengths(window, *state)
+    weights = rng.uniform(size=len(sizes))
 
     def equations():
         one = bundle_adjustment.normal_equations(
             window, *state, sizes, bundle_adjustment.BundleOptions())
         return one.H, one.g, one.H_rp, one.H_rr, one.g_r
     assert_close(*both(equations))
+    assert_close(*both(lambda: bundle_window.pose_and_point_equations(
+        window, *state, weights, lenses=True)))
 
 
 @pytest.mark.parametrize('turn_deg', (0, 20, 150))

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.tracking.anchored.bundle_adjustment import BundleOptions, Window
+from sph_stab_ros.tracking.anchored.bundle_adjustment import BundleOptions
+from sph_stab_ros.tracking.anchored.bundle_window import Window
 from synthetic import random_rotation, unit
 
 SIGMA_RAD = 1e-3

@@ -239,7 +239,7 @@ def test_near_are_those_at_rest_whose_hosts_are_nearest(count):
     inactive = np.flatnonzero(~landmark_map.landmarks.active)
     assert len(rows) == min(count, len(inactive))
     assert (np.diff(rows) > 0).all() and np.isin(rows, inactive).all()
-    _, origins = landmark_map.hosts(inactive)
+    _, _, origins = landmark_map.in_world(inactive)
     distance = np.linalg.norm(origins - position, axis=1)
     chosen = np.isin(inactive, rows)
     assert not chosen.any() or chosen.all() or distance[chosen].max() <= distance[~chosen].min()

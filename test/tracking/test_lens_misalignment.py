@@ -15,6 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, BundleOptions
+from sph_stab_ros.tracking.anchored.bundle_window import pose_and_point_equations, residuals
 from sph_stab_ros.tracking.anchored.lens_misalignment import (
     apart, lens_equations, Lenses, LensOptions)
 from synthetic import angle_deg, unit
@@ -61,6 +62,20 @@ def test_what_is_not_known_of_the_lenses_grows_with_the_turn():
               for angle in (0, 0.5, 1, 3)]
     assert sigmas[0] == 0
     assert (np.diff(sigmas) > 0).all()
+
+
+def test_the_gradient_is_that_of_the_cost():
+    rng = np.random.default_rng(5)
+    window = perturbed(rng, true_window(rng, noise_rad=1e-3))
+    state, weights = (window.R, window.p, window.inverse_depths), rng.uniform(size=len(window.y))
+
+    def cost(rotvec):
+        other = replace(window, x=apart(window.x, rotvec), y=apart(window.y, rotvec))
+        return weights @ (residuals(other, *state) ** 2).sum(axis=1) / 2
+    _, g, *_ = pose_and_point_equations(window, *state, weights, lenses=True)
+    step = 1e-5 * np.eye(3)
+    np.testing.assert_allclose(
+        g[-3:], [(cost(one) - cost(-one)) / 2e-5 for one in step], rtol=1e-6)
 
 
 def test_a_turn_of_the_camera_is_no_stitch_error():

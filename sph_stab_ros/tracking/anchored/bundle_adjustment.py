@@ -19,14 +19,13 @@ synthesis*, Vision Algorithms: Theory and Practice, 2000).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros import kernels
-from sph_stab_ros.geometry.arrays import (
-    Bearings, Choice, Floats, Indices, Matrix, Values, Vectors)
+from sph_stab_ros.geometry.arrays import Floats, Matrix, Values, Vectors
+from sph_stab_ros.tracking.anchored.bundle_window import (
+    pose_and_point_equations, residual_lengths, Window)
 from sph_stab_ros.tracking.anchored.pose_estimation import (
-    cauchy_weights, MEDIAN_2D, NormalEquations, PoseOptions)
+    cauchy_weights, MEDIAN_2D, PoseOptions)
 
 # How much more certain the length that sets the unit is than what is seen makes it.
 GAUGE_STIFFNESS = 1e6
@@ -54,31 +53,6 @@ class BundleOptions:
     max_damping: float = 1e3
     # In the inverse unit of length, as for poses.
     max_inverse_depth: float = PoseOptions.max_inverse_depth
-
-
-@dataclass(frozen=True)
-class Window:
-    """
-    K keyframes, P points and M observations of points in keyframes.
-
-    ``R`` (K, 3, 3) and ``p`` (K, 3) are the keyframes' poses, ``free`` (K,) bool tells which to
-    adjust. ``host`` (P,) is the keyframe of each point, ``x`` (P, 3) its bearing in the host's
-    camera, ``inverse_depths`` and ``information`` (P,) ρ0 and its inverse variance. ``keyframe``
-    and ``point`` (M,) tell what was seen where, ``y`` (M, 3) along which bearing in the
-    keyframe's camera, ``sqrt_information`` (M, 2, 3) with what certainty, as for a pose.
-    """
-
-    R: Matrix
-    p: Vectors
-    free: Choice
-    host: Indices
-    x: Bearings
-    inverse_depths: Values
-    information: Values
-    keyframe: Indices
-    point: Indices
-    y: Bearings
-    sqrt_information: Floats
 
 
 @dataclass(frozen=True)
@@ -157,35 +131,15 @@ class Equations:
 
     def reduced(self, damping: float) -> Floats:
         """Return the matrix of the keyframes alone (Schur complement), damped."""
-        S = self.H - (self.H_rp / (self.H_rr * (1 + damping))[:, None]).T @ self.H_rp
+        # A product with itself takes half of the time.
+        by_point = self.H_rp / np.sqrt(self.H_rr * (1 + damping))[:, None]
+        S = self.H - by_point.T @ by_point
         S[np.diag_indices_from(S)] += damping * np.diag(self.H) + 1e-9
         if self.kept_along is not None:
             # Behind the damping, which would slow down what moves across.
             stiffness = GAUGE_STIFFNESS * self.kept_along ** 2 @ np.diag(S)
             S += stiffness * np.outer(self.kept_along, self.kept_along)
         return S
-
-
-def residual_lengths(window: Window, R: Matrix, p: Vectors, rho: Values) -> Values:
-    """Return the lengths (M,) of the residuals."""
-    r = residuals(window, R, p, rho)
-    return np.sqrt(np.einsum('mk,mk->m', r, r))
-
-
-def residuals(window: Window, R: Matrix, p: Vectors, rho: Values) -> Floats:
-    """Return the residuals ``W (b − y)`` (M, 2)."""
-    host = window.host[window.point]
-    if kernels.library is not None:
-        r = np.empty((len(host), 2))
-        kernels.library.bundle_residuals(
-            len(host), window.keyframe, host, window.point, R, p, window.x, rho, window.y,
-            window.sqrt_information, r)
-    else:
-        _, _, z = _rays(window, R, p, rho, host)
-        b = np.einsum('mij,mi->mj', R[window.keyframe], z)
-        b /= np.sqrt(np.einsum('mi,mi->m', z, z))[:, None]
-        r = np.einsum('mki,mi->mk', window.sqrt_information, b - window.y)
-    return r
 
 
 def normal_equations(window: Window, R: Matrix, p: Vectors, rho: Values, sizes: Values,
@@ -202,67 +156,6 @@ def normal_equations(window: Window, R: Matrix, p: Vectors, rho: Values, sizes: 
     return Equations(H, g, H_rp, window.information + H_rr,
                      g_r + window.information * (rho - window.inverse_depths), weights, scale,
                      kept_along)
-
-
-def pose_and_point_equations(window: Window, R: Matrix, p: Vectors, rho: Values,
-                             w: Values) -> NormalEquations:
-    """
-    Return the normal equations of observations weighted by w (M,), without prior inverse depths.
-
-    H and g of the free keyframes, H_rp between points and keyframes, H_rr and g_r of the points.
-    """
-    accumulate = _accumulate if kernels.library is None else _accumulate_compiled
-    return accumulate(window, R, p, rho, w)
-
-
-def _accumulate_compiled(window: Window, R: Matrix, p: Vectors, rho: Values,
-                         w: Values) -> NormalEquations:
-    columns, points = 6 * window.free.sum(), len(window.x)
-    H, g, H_rp = np.zeros((columns, columns)), np.zeros(columns), np.zeros((points, columns))
-    H_rr, g_r = np.zeros(points), np.zeros(points)
-    kernels.library.bundle_equations(
-        len(window.point), columns, window.keyframe, window.host[window.point], window.point,
-        np.where(window.free, np.cumsum(window.free) - 1, -1), R, p, window.x, rho, window.y,
-        window.sqrt_information, w, H, g, H_rp, H_rr, g_r)
-    return H, g, H_rp, H_rr, g_r
-
-
-def _accumulate(window: Window, R: Matrix, p: Vectors, rho: Values, w: Values) -> NormalEquations:
-    host = window.host[window.point]
-    x, q, z = _rays(window, R, p, rho, host)
-    A = window.sqrt_information @ np.swapaxes(R[window.keyframe], 1, 2)
-    length = np.sqrt(np.einsum('mi,mi->m', z, z))[:, None]
-    b = z / length
-    along_b = np.einsum('mki,mi->mk', A, b)
-    M = (A - along_b[..., None] * b[:, None]) / length[..., None]
-    r = along_b - np.einsum('mki,mi->mk', window.sqrt_information, window.y)
-    J_rho = -np.einsum('mki,mi->mk', M, q)
-    along = rho[window.point, None, None] * M
-    # Fixed keyframes go to a last place, which is thrown away.
-    count = window.free.sum()
-    slots = np.where(window.free, np.cumsum(window.free) - 1, count)
-    J = np.zeros((len(M), 2, count + 1, 6))
-    each = np.arange(len(M))
-    J[each, :, slots[window.keyframe], :3] -= np.cross(z[:, None], M)
-    J[each, :, slots[window.keyframe], 3:] -= along
-    J[each, :, slots[host], :3] += np.cross(x[:, None], M)
-    J[each, :, slots[host], 3:] += along
-    J = J[:, :, :-1].reshape(len(M), 2, -1)
-
-    flat = (w[:, None, None] * J).reshape(2 * len(M), -1).T
-    by_point = csr_matrix((w, (window.point, each)), shape=(len(window.x), len(M)))
-    return (flat @ J.reshape(2 * len(M), -1), flat @ r.ravel(),
-            by_point @ np.einsum('mkn,mk->mn', J, J_rho),
-            by_point @ np.einsum('mk,mk->m', J_rho, J_rho),
-            by_point @ np.einsum('mk,mk->m', J_rho, r))
-
-
-def _rays(window: Window, R: Matrix, p: Vectors, rho: Values,
-          host: Indices) -> tuple[Vectors, Vectors, Vectors]:
-    """Return bearings x, offsets q and what is seen, ``z = x − ρ q``, (M, 3) in the world."""
-    x = np.einsum('mij,mj->mi', R[host], window.x[window.point])
-    q = p[window.keyframe] - p[host]
-    return x, q, x - rho[window.point, None] * q
 
 
 def _farthest(window: Window) -> Floats:

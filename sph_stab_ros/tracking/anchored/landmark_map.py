@@ -17,8 +17,8 @@ from sph_stab_ros.geometry.arrays import (
     Bearings, Choice, Covariance, Grey, Indices, Mask, Matrix, Values, Vector, Vectors)
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
-from sph_stab_ros.tracking.anchored.bundle_adjustment import (
-    adjust, Adjusted, BundleOptions, Window)
+from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Adjusted, BundleOptions
+from sph_stab_ros.tracking.anchored.bundle_window import Window
 from sph_stab_ros.tracking.anchored.corners import CornerOptions, find_corners
 from sph_stab_ros.tracking.anchored.keyframe import Keyframe
 from sph_stab_ros.tracking.anchored.landmarks import LandmarkOptions, Landmarks, Observations
@@ -84,7 +84,7 @@ class LandmarkMap:
         self._store = PatchStore()
         self._adjusted_apart: Vector = np.zeros(3)
         self._next_keyframe = self._next_landmark = 0
-        self._known_poses: tuple[Indices, Matrix, Vectors] | None = None
+        self._all_in_world: tuple[Bearings, Bearings, Vectors] | None = None
 
     @property
     def landmarks(self) -> Landmarks:
@@ -97,20 +97,23 @@ class LandmarkMap:
         assert self._store.patches is not None
         return self._store.patches
 
-    def hosts(self, rows: Indices) -> tuple[Matrix, Vectors]:
-        """Return R (N, 3, 3) and positions (N, 3) of the hosts of the landmarks in rows."""
-        numbers, R, positions = self._poses()
-        index = np.searchsorted(numbers, self._landmarks.host[rows])
-        return R[index], positions[index]
+    def in_world(self, rows: Indices) -> tuple[Bearings, Bearings, Vectors]:
+        """Return x and east (N, 3) of the landmarks in rows, in the world, and whence (N, 3)."""
+        # Asked for several times per frame, they change with keyframes alone.
+        if self._all_in_world is None:
+            numbers, R, positions = self._poses()
+            host = np.searchsorted(numbers, self._landmarks.host)
+            self._all_in_world = (
+                np.einsum('nij,nj->ni', R[host], self._landmarks.x),
+                np.einsum('nij,nj->ni', R[host], self._landmarks.east), positions[host])
+        x, east, origins = self._all_in_world
+        return x[rows], east[rows], origins[rows]
 
     def _poses(self) -> tuple[Indices, Matrix, Vectors]:
         """Return the numbers (K,) of the keyframes, R (K, 3, 3) and positions (K, 3)."""
-        # Asked for several times per frame, they seldom change.
-        if self._known_poses is None:
-            self._known_poses = (np.array([one.number for one in self.keyframes]),
-                                 np.array([one.R for one in self.keyframes]),
-                                 np.array([one.position for one in self.keyframes]))
-        return self._known_poses
+        return (np.array([one.number for one in self.keyframes]),
+                np.array([one.R for one in self.keyframes]),
+                np.array([one.position for one in self.keyframes]))
 
     def rays(self, rows: Indices, position: Vector) -> Vectors:
         """
@@ -118,9 +121,8 @@ class LandmarkMap:
 
         Each in units of the landmark's distance from its host.
         """
-        R, origins = self.hosts(rows)
-        return (np.einsum('nij,nj->ni', R, self._landmarks.x[rows])
-                - self._landmarks.inverse_depth[rows, None] * (position - origins))
+        x, _, origins = self.in_world(rows)
+        return x - self._landmarks.inverse_depth[rows, None] * (position - origins)
 
     def directions(self, rows: Indices, position: Vector) -> Bearings:
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
@@ -134,7 +136,7 @@ class LandmarkMap:
     def near(self, position: Vector, count: int) -> Indices:
         """Return rows of up to ``count`` inactive landmarks whose hosts are nearest, ascending."""
         inactive = np.flatnonzero(~self._landmarks.active)
-        _, origins = self.hosts(inactive)
+        _, _, origins = self.in_world(inactive)
         distance = np.linalg.norm(origins - position, axis=1)
         return np.sort(inactive[np.argsort(distance, kind='stable')[:count]])
 
@@ -144,7 +146,6 @@ class LandmarkMap:
         self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
                                        covariance, encode_jpeg(grey), thumbnail, observations))
         self._next_keyframe += 1
-        self._known_poses = None
 
     def turn(self, R_new_old: Rotation, added_variance: float) -> None:
         """Turn the whole map; what is known of orientations changes by a variance in rad²."""
@@ -153,7 +154,7 @@ class LandmarkMap:
             one.R, one.position = R @ one.R, R @ one.position
             one.covariance = (rotate_covariance(one.covariance, R_new_old)
                               + added_variance * np.eye(3))
-        self._known_poses = None
+        self._all_in_world = None
 
     def shrink(self) -> None:
         """Drop one keyframe where there are too many, with the landmarks that it hosts."""
@@ -166,7 +167,6 @@ class LandmarkMap:
         distance[np.diag_indices_from(distance)] = np.inf
         dropped = old[int(np.argmin(distance.min(axis=1)))]
         self.keyframes.remove(dropped)
-        self._known_poses = None
         self._forget(self._landmarks.host == dropped.number)
 
     def add_landmarks(self, grey: Grey, pyramid: Pyramid, free: Mask) -> None:
@@ -198,6 +198,7 @@ class LandmarkMap:
     def add(self, landmarks: Landmarks) -> None:
         """Add Landmarks that are born, numbered on from those before."""
         self._landmarks = Landmarks.joined((self._landmarks, landmarks))
+        self._all_in_world = None
         self._next_landmark += len(landmarks)
 
     def judge(self, rows: Indices, agreeing: Choice, inverse_depths: Values,
@@ -250,33 +251,26 @@ class LandmarkMap:
     def _take_in(self, first: int, numbers: Indices, window: Window, adjusted: Adjusted) -> None:
         """Take in a Window that was adjusted; forget landmarks whose observations disagree."""
         options = self.options
-        self._known_poses = None
+        self._all_in_world = None
         fixed = self._covariance_of_fixed(first, window)
         for i, one in enumerate(self.keyframes[first:]):
             one.R, one.position = adjusted.R[first + i], adjusted.p[first + i]
             block = slice(6 * i, 6 * i + 3)
-            one.covariance = (
-                fixed + options.covariance_inflation * adjusted.covariance[block, block])
+            own = options.covariance_inflation * adjusted.covariance[block, block]
+            one.covariance = fixed + own
         rows = np.searchsorted(self._landmarks.number, numbers)
-        inverse_depth = self._landmarks.inverse_depth.copy()
-        information = self._landmarks.information.copy()
-        inverse_depth[rows] = adjusted.inverse_depths
-        information[rows] = np.minimum(
-            options.trusted_information * adjusted.information, options.max_information)
-        self._landmarks = replace(
-            self._landmarks, inverse_depth=inverse_depth, information=information)
+        self._landmarks = self._landmarks.adjusted(rows, adjusted.inverse_depths, np.minimum(
+            options.trusted_information * adjusted.information, options.max_information))
         count = np.bincount(window.point, minlength=len(rows))
-        trust = (np.bincount(window.point, adjusted.weights, len(rows))
-                 / np.maximum(count, 1))
+        trust = np.bincount(window.point, adjusted.weights, len(rows)) / np.maximum(count, 1)
         self._forget(np.isin(
             self._landmarks.number, numbers[(trust < options.min_trust) & (count > 1)]))
 
     def _covariance_of_fixed(self, first: int, window: Window) -> Covariance:
         """
-        Return the covariance (3, 3) of the orientation that a Window takes from its fixed keyframes.
+        Return the covariance (3, 3) of what the orientations of a Window are adjusted to.
 
-        It follows each by what they have seen of the same; who comes back to where it began is as
-        sure as then. At worst their errors are all alike, so that variances do not average out.
+        It follows its fixed keyframes by what they share, whose errors may all be alike.
         """
         known = np.array([one.covariance for one in self.keyframes[:first]])
         seen = np.bincount(window.keyframe, minlength=first)[:first]
@@ -284,7 +278,10 @@ class LandmarkMap:
 
     def _take_lenses_apart(self, rotvec: Vector) -> None:
         """Correct all bearings known so far by a further rotation vector between the lenses."""
+        if not rotvec.any():
+            return
         self._landmarks = replace(self._landmarks, x=apart(self._landmarks.x, rotvec))
+        self._all_in_world = None
         for one in self.keyframes:
             one.observations.y = apart(one.observations.y, rotvec)
 
@@ -292,6 +289,7 @@ class LandmarkMap:
         """Let landmarks go, (N,) bool, with their patches."""
         self._store.give_back(self._landmarks.patch[gone])
         self._landmarks = self._landmarks[~gone]
+        self._all_in_world = None
 
 
 def _are_among(numbers: Indices, others: Indices) -> Choice:

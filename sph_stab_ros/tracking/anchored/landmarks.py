@@ -100,6 +100,12 @@ class Landmarks(Table):
         missed[rows] = 0
         return replace(self, active=active, missed=missed)
 
+    def adjusted(self, rows: Indices, inverse_depths: Values, information: Values) -> 'Landmarks':
+        """Return them with the inverse depths (N,) of those in rows, and what is known of them."""
+        inverse_depth, known = self.inverse_depth.copy(), self.information.copy()
+        inverse_depth[rows], known[rows] = inverse_depths, information
+        return replace(self, inverse_depth=inverse_depth, information=known)
+
     def _aged(self, agreed: Indices, seen: Indices, known: Indices, inverse_depths: Values,
               options: LandmarkOptions) -> 'Landmarks':
         """Return them with those deactivated that have been missed for long, or disagree."""

@@ -15,17 +15,14 @@ so is, by half of it and turning with the camera, every rotation fitted to both.
 through one lens and then through the other tells.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.arrays import Bearings, Covariance, Floats, Matrix, Values, Vector
-from sph_stab_ros.tracking.anchored.bundle_adjustment import (
-    Adjusted, pose_and_point_equations, residuals, Window)
-
-# For derivatives by differences; all is linear over far more.
-STEP_RAD = 1e-4
+from sph_stab_ros.geometry.arrays import Bearings, Covariance, Matrix, Vector
+from sph_stab_ros.tracking.anchored.bundle_adjustment import Adjusted
+from sph_stab_ros.tracking.anchored.bundle_window import pose_and_point_equations, Window
 
 
 @dataclass(frozen=True)
@@ -110,9 +107,13 @@ def apart(bearings: Bearings, rotvec: Vector) -> Bearings:
 
     Each by half of the small rotation vector ``rotvec`` (3,).
     """
-    side = np.where(bearings[:, 2:] > 0, 0.5, -0.5)
-    turned = bearings + side * np.cross(rotvec, bearings)
-    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    x, y, z = rotvec
+    # As cross(rotvec, bearings), in a fifth of NumPy's time.
+    turned = bearings @ np.array(((0, z, -y), (-z, 0, x), (y, -x, 0)))
+    turned *= np.where(bearings[:, 2:] > 0, 0.5, -0.5)
+    turned += bearings
+    turned /= np.sqrt(np.einsum('ni,ni->n', turned, turned))[:, None]
+    return turned
 
 
 def lens_equations(window: Window, adjusted: Adjusted) -> tuple[Matrix, Vector]:
@@ -120,28 +121,14 @@ def lens_equations(window: Window, adjusted: Adjusted) -> tuple[Matrix, Vector]:
     Return what an Adjusted Window says about its lenses: normal equations H (3, 3) and g (3,).
 
     Of the rotation vector by which they should be taken apart. Keyframes and points are
-    eliminated (Schur complement), so that what a turn of the camera explains is not counted;
-    derivatives are taken by differences.
+    eliminated (Schur complement), so that what a turn of the camera explains is not counted.
     """
-    R, p, rho = adjusted.R, adjusted.p, adjusted.inverse_depths
-    w = adjusted.weights / adjusted.scale ** 2
-
-    def linearised(rotvec: Vector) -> tuple[Floats, Floats, Floats, Floats, Values, Values]:
-        other = replace(window, x=apart(window.x, rotvec), y=apart(window.y, rotvec))
-        H, g, H_rp, H_rr, g_r = pose_and_point_equations(other, R, p, rho, w)
-        return residuals(other, R, p, rho), H, g, H_rp, window.information + H_rr, g_r
-
-    r, H, g, H_rp, H_rr, g_r = linearised(np.zeros(3))
-    by_axis = zip(*(
-        [(turned[i] - here) / STEP_RAD for i, here in ((0, r), (2, g), (5, g_r))]
-        for turned in map(linearised, STEP_RAD * np.eye(3))))
-    J, H_pe, H_re = (np.stack(one, axis=axis) for one, axis in zip(by_axis, (0, 1, 1)))
-    H_ee, g_e = np.einsum('amk,m,bmk->ab', J, w, J), np.einsum('amk,m,mk->a', J, w, r)
-    # Without the points, then without the keyframes.
-    by_point = H_re / H_rr[:, None]
-    H_ee, g_e = H_ee - by_point.T @ H_re, g_e - by_point.T @ g_r
-    H_pe, g = H_pe - H_rp.T @ by_point, g - H_rp.T @ (g_r / H_rr)
-    S = H - (H_rp / H_rr[:, None]).T @ H_rp
-    S[np.diag_indices_from(S)] += 1e-9 + 1e-6 * np.diag(H)
-    by_pose = np.linalg.solve(S, H_pe)
-    return H_ee - by_pose.T @ H_pe, g_e - by_pose.T @ g
+    H, g, H_rp, H_rr, g_r = pose_and_point_equations(
+        window, adjusted.R, adjusted.p, adjusted.inverse_depths,
+        adjusted.weights / adjusted.scale ** 2, lenses=True)
+    damping = 1e-9 + 1e-6 * np.diag(H)[:-3]
+    root = np.sqrt(window.information + H_rr)
+    by_point = H_rp / root[:, None]
+    H, g = H - by_point.T @ by_point, g - by_point.T @ (g_r / root)
+    by_pose = np.linalg.solve(H[:-3, :-3] + np.diag(damping), H[:-3, -3:])
+    return H[-3:, -3:] - by_pose.T @ H[:-3, -3:], g[-3:] - by_pose.T @ g[:-3]

@@ -177,10 +177,8 @@ def look_along(z: Vectors, landmark_map: LandmarkMap, rows: Indices, pyramid: Py
 
     The rays z (N, 3), in the world, are as long as the landmarks are farther than from the hosts.
     """
-    R, origins = landmark_map.hosts(rows)
     landmarks, patches = landmark_map.landmarks, landmark_map.patches
-    x = np.einsum('nij,nj->ni', R, landmarks.x[rows])
-    distance = np.linalg.norm(z, axis=1)
+    distance = np.sqrt(np.einsum('ni,ni->n', z, z))
     b = z / distance[:, None]
     camera_axes = R_world_camera.as_matrix()
     expected = landmark_map.lenses.as_seen(b @ camera_axes)
@@ -188,10 +186,9 @@ def look_along(z: Vectors, landmark_map: LandmarkMap, rows: Indices, pyramid: Py
         (np.abs(expected[:, 1]) < np.sin(pyramid.options.max_latitude_rad)) & is_usable(expected)
         & (distance > options.min_distance) & (distance < options.max_distance))
     rows = rows[seen]
-    R, x, b, origins, expected, distance = (
-        one[seen] for one in (R, x, b, origins, expected, distance))
+    b, expected, distance = b[seen], expected[seen], distance[seen]
     # Tangents go along from x to b without a twist.
-    east = np.einsum('nij,nj->ni', R, landmarks.east[rows])
+    x, east, origins = landmark_map.in_world(rows)
     east -= (np.einsum('ni,ni->n', east, b)
              / (1 + np.einsum('ni,ni->n', x, b)))[:, None] * (x + b)
     east = east @ camera_axes

@@ -35,6 +35,8 @@ MEDIAN_1D, MEDIAN_2D = 0.6745, 1.1774
 
 # H and g of poses, H_rp between depths and poses, H_rr and g_r of depths.
 NormalEquations: TypeAlias = tuple[Floats, Floats, Floats, Values, Values]
+# R, p, inverse depths, sizes, weights and scale of a PoseEstimate, and H.
+Fit: TypeAlias = tuple[Matrix, Vector, Values, Values, Values, float, Floats]
 
 
 @dataclass(frozen=True)
@@ -134,10 +136,31 @@ def fit_pose(points: Points, R_camera_world: Rotation, position: Vector, positio
     s is the residuals' own scale, v = ``say`` (N,) ≤ 1 the say of each point. R (Rotation),
     p0 = ``position`` (3,) and ``inverse_depths`` (N,), by default ρ0, are the start.
     """
-    loss = options.loss
-    R, p = R_camera_world.as_matrix(), position
-    rho = points.inverse_depths if inverse_depths is None else inverse_depths
-    information = points.information
+    fit = _fit if kernels.library is None else _fit_compiled
+    R, p, rho, sizes, weights, scale, H = fit(
+        points, R_camera_world.as_matrix(), position,
+        points.inverse_depths if inverse_depths is None else inverse_depths, position_sigma,
+        options, np.broadcast_to(say, len(points)))
+    return PoseEstimate(
+        rotation_from_matrix(R), p, rho, sizes, weights, scale, np.linalg.inv(H))
+
+
+def _fit_compiled(points: Points, R: Matrix, p: Vector, rho: Values, position_sigma: float,
+                  options: PoseOptions, say: Values) -> Fit:
+    loss, (sizes, weights), H = options.loss, np.empty((2, len(points))), np.empty((6, 6))
+    R, p, rho, scale = R.copy(), p.copy(), rho.copy(), np.empty(1)
+    kernels.library.fit_pose(
+        len(points), points.x, points.origins, points.inverse_depths, points.information, points.y,
+        points.sqrt_information, say, position_sigma, options.max_iterations,
+        options.min_iterations, options.step_tolerance, options.max_inverse_depth, loss.width,
+        loss.power, loss.wide_start, loss.min_scale, loss.max_scale, R, p, rho, sizes, weights,
+        scale, H, np.empty((10, len(points))))
+    return R, p, rho, sizes, weights, scale[0], H
+
+
+def _fit(points: Points, R: Matrix, p: Vector, rho: Values, position_sigma: float,
+         options: PoseOptions, say: Values) -> Fit:
+    loss, position, information = options.loss, p, points.information
     known = np.ones(len(points))
     for iteration in range(options.max_iterations):
         r = residuals(points, R, p, rho)
@@ -160,8 +183,7 @@ def fit_pose(points: Points, R_camera_world: Rotation, position: Vector, positio
         p = p + step[3:]
         if iteration + 1 >= options.min_iterations and np.abs(step).max() < options.step_tolerance:
             break
-    return PoseEstimate(
-        rotation_from_matrix(R), p, rho, sizes, weights, scale, np.linalg.inv(H))
+    return R, p, rho, sizes, weights, scale, H
 
 
 def fit_depths(points: Points, pose: PoseEstimate, options: PoseOptions) -> PoseEstimate:
@@ -179,6 +201,13 @@ def fit_depths(points: Points, pose: PoseEstimate, options: PoseOptions) -> Pose
 
 def depths_at(points: Points, R: Matrix, p: Vector, options: PoseOptions) -> Values:
     """Return the inverse depths (N,) that fit a known pose best."""
+    if kernels.library is not None:
+        rho = points.inverse_depths.copy()
+        kernels.library.fit_depths(
+            len(points), points.x, points.origins, points.inverse_depths, points.information,
+            points.y, points.sqrt_information, options.depth_iterations,
+            options.max_inverse_depth, R, p, rho)
+        return rho
     rho, equally = points.inverse_depths, np.ones(len(points))
     for _ in range(options.depth_iterations):
         r = residuals(points, R, p, rho)
@@ -218,25 +247,6 @@ def equations(points: Points, R: Matrix, p: Vector, rho: Values, r: Floats,
     the depths. ``W db = M dz`` with ``M = W (I − b bᵀ) / |z|`` and, q = p − c,
     ``dz = ω × z − ρ R dp − R q dρ``.
     """
-    accumulate = _accumulate if kernels.library is None else _accumulate_compiled
-    H, g, H_rp, H_rr, g_r = accumulate(points, R, p, rho, r, w)
-    return (H, g, H_rp, points.information + H_rr,
-            g_r + points.information * (rho - points.inverse_depths))
-
-
-def _accumulate_compiled(points: Points, R: Matrix, p: Vector, rho: Values, r: Floats,
-                         w: Values) -> NormalEquations:
-    n = len(points)
-    H, g, H_rp, H_rr, g_r = (
-        np.zeros((6, 6)), np.zeros(6), np.empty((n, 6)), np.empty(n), np.empty(n))
-    kernels.library.pose_equations(
-        n, R, p, points.x, points.origins, rho, points.sqrt_information, r, w,
-        H, g, H_rp, H_rr, g_r)
-    return H, g, H_rp, H_rr, g_r
-
-
-def _accumulate(points: Points, R: Matrix, p: Vector, rho: Values, r: Floats,
-                w: Values) -> NormalEquations:
     q = p - points.origins
     z = (points.x - rho[:, None] * q) @ R.T
     length = np.linalg.norm(z, axis=1)[:, None]
@@ -247,5 +257,8 @@ def _accumulate(points: Points, R: Matrix, p: Vector, rho: Values, r: Floats,
     J = np.concatenate((np.cross(z[:, None], M), -rho[:, None, None] * MR), axis=2)
     wJ_rho = -w[:, None] * np.einsum('nki,ni->nk', MR, q)
     flat = (w[:, None, None] * J).reshape(-1, 6).T
+    H_rr = points.information + np.einsum('nk,nk->n', wJ_rho, wJ_rho / w[:, None])
+    g_r = (points.information * (rho - points.inverse_depths)
+           + np.einsum('nk,nk->n', wJ_rho, r))
     return (flat @ J.reshape(-1, 6), flat @ r.ravel(), np.einsum('nk,nki->ni', wJ_rho, J),
-            np.einsum('nk,nk->n', wJ_rho, wJ_rho / w[:, None]), np.einsum('nk,nk->n', wJ_rho, r))
+            H_rr, g_r)

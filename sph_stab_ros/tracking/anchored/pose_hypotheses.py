@@ -104,9 +104,11 @@ def places(y: Bearings, side_rad: float) -> tuple[Indices, Indices]:
     around = np.rint(2 * np.pi / side_rad * np.cos(band * side_rad)).clip(1)
     turns = np.arctan2(y[:, 0], y[:, 2]) / (2 * np.pi) + 0.5
     along = np.minimum(np.floor(turns * around), around - 1)
-    _, place, count = np.unique(
-        np.stack((band, along)), axis=1, return_inverse=True, return_counts=True)
-    return place.ravel(), count
+    # One number for both, without the gaps: numpy.unique takes twenty times as long.
+    cell = ((band - band.min()) * around.max() + along).astype(int)
+    count = np.bincount(cell)
+    some = count > 0
+    return (np.cumsum(some) - 1)[cell], count[some]
 
 
 def agreement(y: Bearings, agreeing: Choice, options: HypothesisOptions) -> float:
