@@ -62,7 +62,7 @@ def long_bags(tmp_path_factory, turning):
     return folder
 
 
-@pytest.mark.thorough
+@pytest.mark.slow
 def test_of_many_all_good_ones_have_results_and_all_bad_ones_reasons(
         tmp_path, turning, capsys, monkeypatch):
     """And a second call does nothing, but says the same."""
@@ -156,6 +156,7 @@ def test_one_table_over_all_that_have_truth(turning, tmp_path, capsys):
     assert inodes(out) == before and 'mean of 2' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_killed_process_loses_nothing_and_does_nothing_twice(long_bags, tmp_path):
     """Of the command's processes one is killed while it writes."""
     out = tmp_path / 'out'
