@@ -270,11 +270,12 @@ class LandmarkMap:
         """
         Return the covariance (3, 3) of what the orientations of a Window are adjusted to.
 
-        It follows its fixed keyframes by what they share, whose errors may all be alike.
+        It follows the hosts of its landmarks, whose bearings these are; their errors may all be
+        alike. What was born in the window hangs on the keyframe before it.
         """
         known = np.array([one.covariance for one in self.keyframes[:first]])
-        seen = np.bincount(window.keyframe, minlength=first)[:first]
-        return np.average(known, axis=0, weights=seen) if seen.any() else known[-1]
+        hosted = np.bincount(np.minimum(window.host, first - 1), minlength=first)
+        return np.average(known, axis=0, weights=hosted)
 
     def _take_lenses_apart(self, rotvec: Vector) -> None:
         """Correct all bearings known so far by a further rotation vector between the lenses."""
