@@ -31,14 +31,9 @@ FOLDER_MARKERS = {
     'ros': pytest.mark.ros,
     'operator/test_operator_command_line.py': pytest.mark.ros,
     'fuzz': pytest.mark.thorough,
-    'operator/test_operator_robot.py': pytest.mark.ros,
-    'operator/test_operator_connection.py': pytest.mark.browser,
-    'operator/test_operator_page.py': pytest.mark.browser,
-    'operator/test_operator_video_page.py': pytest.mark.browser,
-    'operator/test_operator_video_link.py': pytest.mark.browser,
-    'operator/test_operator_graphics.py': pytest.mark.browser,
-    'operator/test_operator_layout.py': pytest.mark.browser,
+    'operator/test_operator_link_status.py': pytest.mark.ros,
     'operator/test_operator_renderers.py': pytest.mark.browser,
+    'operator/test_operator_robot.py': pytest.mark.ros,
     'test_docs.py': pytest.mark.thorough,
     'test_package.py': pytest.mark.thorough,
     'test_readme.py': pytest.mark.thorough,
@@ -55,6 +50,9 @@ def pytest_collection_modifyitems(items):
         for path, marker in FOLDER_MARKERS.items():
             if item.path.is_relative_to(TEST / path):
                 item.add_marker(marker)
+        # By its fixture: whoever adds a file of such tests need not think of it.
+        if 'browser' in item.fixturenames:
+            item.add_marker(pytest.mark.browser)
         # These wait for each other's processes: one at a time, beside others that compute.
         if item.get_closest_marker('ros') or item.get_closest_marker('browser'):
             item.add_marker(pytest.mark.xdist_group('processes'))
