@@ -38,7 +38,7 @@ FAST := not slow and not thorough and not ros and not browser
 test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in two minutes
 	$(PY) $(PYTEST) -m '$(FAST)'
 
-test: setup  ## Run all tests but the slow ones, in eight minutes
+test: setup  ## Run all tests but the slow ones, in twelve minutes
 	$(PY) $(PYTEST) -m 'not slow'
 
 test-slow: setup  ## Run the slow tests
