@@ -12,7 +12,6 @@ from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-import math
 from pathlib import Path
 import re
 import sys
@@ -22,8 +21,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sph_stab_ros.command_line import (
-    add_imu_topic, add_recording, check_stretch, frames_to_read, is_cut, open_given, Parser, run,
-    told_once)
+    add_imu_topic, add_recording, check_stretch, frames_to_read, given, is_cut, open_given, Parser,
+    run, told_once)
 from sph_stab_ros.command_line.film import add_film, check_film, FILM_OPTIONS
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
@@ -231,8 +230,8 @@ def replay(args: Namespace, settings: Settings, progress: Progress, sinks: Seque
         log = ReplayLog()
         summary, lines = write_outputs(
             args, settings, progress, [*sinks, log], True, known_tracker)
-        flags = {f'--{name.replace("_", "-")}': getattr(args, name) for name in REPORTED_FLAGS
-                 if getattr(args, name) not in (None, False, 0., math.inf)}
+        flags = {f'--{name.replace("_", "-")}': value
+                 for name, value in given(args, REPORTED_FLAGS).items()}
         path.write_text(page(args.recording.name, log, lines, settings, flags))
     return summary, lines
 

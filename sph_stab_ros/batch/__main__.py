@@ -26,7 +26,7 @@ from sph_stab_ros.batch.results import clear, options_of, results_folder, SEGMEN
 from sph_stab_ros.batch.segments import failure_of, is_done, segment_tasks
 from sph_stab_ros.batch.tables import evaluation_lines, failure_lines
 from sph_stab_ros.batch.tasks import Outcome, Task
-from sph_stab_ros.command_line import add_selection, check_stretch, Parser, run
+from sph_stab_ros.command_line import add_selection, check_stretch, given, Parser, run
 from sph_stab_ros.command_line.film import check_film, FILM_OPTIONS
 from sph_stab_ros.config import ANCHORED, IMU, Settings
 from sph_stab_ros.config.options import with_option
@@ -50,8 +50,7 @@ def batch(args: Namespace, settings: Settings) -> None:
     options = options_of(settings, {name: getattr(args, name) for name in (
         'write', 'image_topic', 'imu_topic', 'max_frames', 'side_by_side', 'view')}
         # So that results of those who know of no other way are still the same.
-        | {name: getattr(args, name) for name in OTHER_OPTIONS
-           if getattr(args, name) not in (None, False, 0., math.inf)})
+        | given(args, OTHER_OPTIONS))
     entries = list(make_plan(recordings, args.out, options, evaluate=args.evaluate,
                              force=args.force, retry=args.retry))
     for line in plan_lines(entries, args.out):

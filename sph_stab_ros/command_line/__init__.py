@@ -9,7 +9,7 @@
 """What the command-line tools share: one line for an error, exit 2 for a usage error, 1 else."""
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 import logging
 import math
@@ -17,7 +17,7 @@ import os
 from pathlib import Path
 import signal
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
@@ -67,6 +67,12 @@ def open_given(args: argparse.Namespace) -> Recording:
 def is_cut(args: argparse.Namespace) -> bool:
     """Tell whether arguments ask for less than the end of the recording."""
     return args.max_frames is not None or args.end < math.inf
+
+
+def given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Return those arguments by names that are given: none of absence, no end and no beginning."""
+    return {name: getattr(args, name) for name in names
+            if getattr(args, name) not in (None, False, 0., math.inf)}
 
 
 def add_imu_topic(parser: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ from textwrap import indent, wrap
 from typing import Any
 
 from sph_stab_ros.config.options import ConfigError, Option
-from sph_stab_ros.config.ros_yaml import parse_yaml
+from sph_stab_ros.config.ros_yaml import read_yaml
 from sph_stab_ros.config.schema import NODE_PARAMETERS
 
 NODE = 'stabilizer'
@@ -93,12 +93,9 @@ def _own(path: Path) -> list[tuple[str, dict[str, Any]]]:
     try:
         if path.is_file() and path.stat().st_size > MOST_BYTES:
             raise ConfigError('no file of parameters is that large')
-        content = parse_yaml(path.read_text())
+        content = read_yaml(path)
         sections = [(name, parameters) for name, parameters in _sections(content or {})
                     if name.rpartition('/')[-1] in (NODE, '*', '**')]
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"'{path}' cannot be read: "
-                          f'{getattr(error, "strerror", "not a text")}') from None
     except ConfigError as error:
         raise ConfigError(f"'{path}': {error}") from None
     if not sections:

@@ -13,6 +13,7 @@ YAML as ROS reads parameters: scalars by its own rules, and nothing but mappings
 is a text always.
 """
 
+from pathlib import Path
 import re
 from typing import Any
 import warnings
@@ -29,6 +30,14 @@ NO_NUMBER = re.compile(r'[-+]?\.?(inf|Inf|INF|nan|NaN|NAN)')
 INT64_LIMIT = 2**63
 # With zeros before it that say nothing.
 MOST_DIGITS = 100
+
+
+def read_yaml(path: Path) -> Any:
+    """Return what a file of YAML holds, None where it is empty; ConfigError, without its name."""
+    try:
+        return parse_yaml(path.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(getattr(error, 'strerror', None) or 'not a text') from None
 
 
 def parse_yaml(text: str) -> Any:

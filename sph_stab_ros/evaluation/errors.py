@@ -116,7 +116,8 @@ def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation
     true, estimated = (R_BODY_CAMERA * one.rotations * R_CAMERA_BODY for one in (truth, estimate))
     error = (estimated * true.inv()).as_rotvec(degrees=True)
     return Errors(
-        truth, estimate, time_s, _roll_pitch_yaw_deg(true), _roll_pitch_yaw_deg(estimated),
+        truth, estimate, time_s,
+        roll_pitch_yaw_deg(truth.rotations), roll_pitch_yaw_deg(estimate.rotations),
         np.linalg.norm(error, axis=1), _of_turns_deg(true, estimated, consecutive, 1),
         _of_turns_deg(true, estimated, consecutive, _frames_in_a_second(time_s, consecutive)),
         # Least squares of error(t) = drift · t, in the world, where a bias of the estimator adds
@@ -124,9 +125,14 @@ def errors(stamps_ns: Stamps, R_mocap_camera: Rotation, R_world_camera: Rotation
         float(np.linalg.norm(time_s @ error) / (time_s @ time_s) * 60))
 
 
-def _roll_pitch_yaw_deg(R_first_body: Rotation) -> Vectors:
-    """Return (N, 3) degrees of ``R = R_z(yaw) R_y(pitch) R_x(roll)``, without jumps of 360°."""
-    return np.unwrap(R_first_body.as_euler('ZYX', degrees=True)[:, ::-1], axis=0, period=360)
+def roll_pitch_yaw_deg(R_world_camera: Rotation) -> Vectors:
+    """
+    Return roll, pitch and yaw (N, 3) in degrees of N orientations, without jumps of 360°.
+
+    They are of the body that looks where the camera does, ``R = R_z(yaw) R_y(pitch) R_x(roll)``.
+    """
+    R_world_body = R_BODY_CAMERA * R_world_camera * R_CAMERA_BODY
+    return np.unwrap(R_world_body.as_euler('ZYX', degrees=True)[:, ::-1], axis=0, period=360)
 
 
 def _frames_in_a_second(time_s: Values, consecutive: Choice) -> int:

@@ -13,12 +13,10 @@ from collections.abc import Iterator
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.evaluation.errors import roll_pitch_yaw_deg
 from sph_stab_ros.evaluation.plots import AXES, COLOURS
 from sph_stab_ros.evaluation.replay_log import ReplayLog
-from sph_stab_ros.geometry.arrays import Values
-from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
 from sph_stab_ros.tracking.base import MAX_OK_SIGMA_RAD
 
 RECORDED, SHOWN = COLOURS[1], COLOURS[0]
@@ -44,7 +42,7 @@ def orientation_figure(log: ReplayLog) -> Figure:
     panels = figure.subplots(3, 1, sharex=True)
     for label, colour, R in (('camera', RECORDED, log.R_world_camera),
                              ('virtual camera', SHOWN, log.R_world_virtual)):
-        for panel, name, angles in zip(panels, AXES, rpy_deg(R).T):
+        for panel, name, angles in zip(panels, AXES, roll_pitch_yaw_deg(R).T):
             panel.plot(log.time_s, angles, color=colour, linewidth=1.2, label=label)
             panel.set_ylabel(f'{name} [deg]')
     figure.legend(*panels[0].get_legend_handles_labels(), loc='outside upper right', ncols=2)
@@ -112,10 +110,3 @@ def finish(panels: list[Axes], log: ReplayLog) -> None:
                     log.time_s, 0, 1, where=is_so, color=colour, alpha=0.35, linewidth=0,
                     transform=panel.get_xaxis_transform(), label=status)
     panels[-1].set_xlabel('time [s]')
-
-
-def rpy_deg(R_world_camera: Rotation) -> Values:
-    """Return roll, pitch and yaw of a body (N, 3) that looks where the camera does."""
-    R = R_BODY_CAMERA * R_world_camera * R_BODY_CAMERA.inv()
-    yaw_pitch_roll = np.rad2deg(np.unwrap(R.as_euler('ZYX'), axis=0))
-    return yaw_pitch_roll[:, ::-1]

@@ -26,6 +26,7 @@ from sph_stab_ros.config.options import get_option
 from sph_stab_ros.evaluation.replay_figures import figures
 from sph_stab_ros.evaluation.replay_log import ReplayLog
 from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.images.codec import encode_jpeg
 
 LIBRARIES = ('numpy', 'scipy', 'av', 'matplotlib')
 JPEG_QUALITY = 85
@@ -127,8 +128,7 @@ def inline_figure(figure: Figure) -> str:
 
 def inline_picture(picture: Image) -> str:
     """Return a picture as a data URI."""
-    data = cv2.imencode('.jpg', picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1]
-    return inline('image/jpeg', data.tobytes())
+    return inline('image/jpeg', encode_jpeg(picture, JPEG_QUALITY).tobytes())
 
 
 def inline(kind: str, data: bytes) -> str:

@@ -51,15 +51,14 @@ def integrated(stamps_ns: Stamps, rates_rad_s: Vectors) -> Trajectory:
     """Return the Trajectory of a gyro's rates (N, 3), which change evenly from one to the next."""
     elapsed_s = np.diff(stamps_ns)[:, None] / NS_PER_S
     steps = (rates_rad_s[1:] + rates_rad_s[:-1]) / 2 * elapsed_s
-    return Trajectory(stamps_ns, _products(Rotation.from_rotvec(np.vstack((np.zeros(3), steps)))))
+    return Trajectory(stamps_ns, _products(steps))
 
 
 def without_bias(truth: Trajectory, bias_rad_s: Vector) -> Trajectory:
     """Return the Trajectory of the same gyro without what it shows at rest, (3,) on the body."""
     elapsed_s = np.diff(truth.stamps_ns)[:, None] / NS_PER_S
     steps = (truth.rotations[:-1].inv() * truth.rotations[1:]).as_rotvec() - bias_rad_s * elapsed_s
-    return Trajectory(truth.stamps_ns, _products(
-        Rotation.from_rotvec(np.vstack((np.zeros(3), steps)))))
+    return Trajectory(truth.stamps_ns, _products(steps))
 
 
 def align_gyro(truth: Trajectory, estimate: Trajectory, R_body_camera: Rotation | None = None,
@@ -78,10 +77,11 @@ def align_gyro(truth: Trajectory, estimate: Trajectory, R_body_camera: Rotation 
     return alignment
 
 
-def _products(turns: Rotation) -> Rotation:
-    """Return the products of the first 1, 2, … of N turns, in log N steps."""
-    step = 1
-    while step < len(turns):
-        turns = Rotation.concatenate((turns[:step], turns[:-step] * turns[step:]))
-        step *= 2
-    return turns
+def _products(steps: Vectors) -> Rotation:
+    """Return the products of the first 0, 1, … of N rotation vectors (N, 3), in log N steps."""
+    R = Rotation.from_rotvec(np.vstack((np.zeros(3), steps)))
+    done = 1
+    while done < len(R):
+        R = Rotation.concatenate((R[:done], R[:-done] * R[done:]))
+        done *= 2
+    return R

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import ConfigError, EQUIDISTANT, FisheyeConfig, LensConfig
-from sph_stab_ros.config.ros_yaml import parse_yaml
+from sph_stab_ros.config.ros_yaml import read_yaml
 from sph_stab_ros.geometry.fisheye import fits
 
 # By which names the model of Kannala and Brandt goes in them.
@@ -30,8 +30,8 @@ SIDES = ((1, 0), (0, 1))
 def is_lens_file(path: Path) -> bool:
     """Tell whether a file is a calibration of ROS or Kalibr, not one of a node's parameters."""
     try:
-        content = parse_yaml(path.read_text())
-    except (OSError, ValueError):
+        content = read_yaml(path)
+    except ConfigError:
         return False
     return isinstance(content, dict) and ('camera_matrix' in content or 'cam0' in content)
 
@@ -77,14 +77,12 @@ def with_lens_file(config: FisheyeConfig, size_wh: tuple[int, int]) -> FisheyeCo
 def _lenses(path: str) -> list[tuple[tuple[int, int], dict[str, float]]]:
     """Return the picture's size and the options of LensConfig of each lens in a file."""
     try:
-        content = parse_yaml(Path(path).read_text())
+        content = read_yaml(Path(path))
         if not isinstance(content, dict):
             raise ConfigError('no calibration')
         if 'camera_matrix' in content:
             return [_of_ros(content)]
         return _of_kalibr(content)
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or 'not a text'
     except KeyError as error:
         reason = f'no {error.args[0]} in it'
     except ConfigError as error:

@@ -23,7 +23,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import ConfigError
-from sph_stab_ros.config.ros_yaml import parse_yaml
+from sph_stab_ros.config.ros_yaml import read_yaml
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
@@ -44,12 +44,9 @@ def read_directions(path: Path) -> list[list[float]]:
     way that the numbers go: from 350 to 370 it is 20 degrees. ConfigError where it is none.
     """
     try:
-        items = parse_yaml(path.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f'{path} cannot be read: '
-                          f'{getattr(error, "strerror", None) or "it is no text"}') from None
+        items = read_yaml(path)
     except ConfigError as error:
-        raise ConfigError(f'{path}: {error}') from None
+        raise ConfigError(f'{path} cannot be read: {error}') from None
     if not isinstance(items, list) or not items:
         raise ConfigError(f'{path} is not a list of directions')
     rows: list[list[float]] = []

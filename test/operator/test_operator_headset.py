@@ -344,10 +344,11 @@ def test_lenses_may_be_off_their_middle(wearer):
     assert (y - 99.5) / 100 == pytest.approx(0.4, abs=0.01)
 
 
-def test_without_a_headset_none_is_offered(served, browser):
+def test_what_a_laptop_has_not_is_not_offered(served, browser):
     page = Page(browser, served.url)
     try:
         page.wait_for_situation('stabilized')
         assert not page.page.is_visible('#headset')
+        assert not page.page.is_visible('#sensor')
     finally:
         page.context.close()

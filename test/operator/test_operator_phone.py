@@ -113,15 +113,6 @@ def test_without_a_sensor_or_leave_that_is_told(phone, answer, reason):
     assert phone.page.get_attribute('#sensor', 'aria-pressed') == 'false'
 
 
-def test_a_laptop_does_not_offer_it(served, browser):
-    page = Page(browser, served.url)
-    try:
-        page.wait_for_situation('stabilized')
-        assert not page.page.is_visible('#sensor')
-    finally:
-        page.context.close()
-
-
 def rotation_of(alpha, beta, gamma):
     """Return R_earth_device as the standard has it: intrinsic, about z, x and y."""
     return Rotation.from_euler('ZXY', (alpha, beta, gamma), degrees=True)

@@ -51,7 +51,7 @@ export class Commands {
     const {state} = this;
     if (state.control === 'yours' && possible) return this.send(command, values);
     showNotice(state.control !== 'yours' ? NO_CONTROL[state.control]
-      : state.robot.tracking ? 'This stabilizer does not offer that.'
+      : state.robot?.tracking ? 'This stabilizer does not offer that.'
         : 'The stabilizer does not answer.', false);
     return false;
   }

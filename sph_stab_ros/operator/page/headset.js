@@ -29,8 +29,9 @@ const lensOf = projection => [0, 5, 8, 9].map(n => projection[n]);
 export class Headset {
   // handlers: load(renderer), which gives it the newest picture and returns that or null where there
   // is no new one; drawn(picture); R_world_virtual(); looked(R_virtual_head); sign(), what
-  // HeadsetOverlay.write takes and whether the picture may be turning; take() and level(), by controller; ended(angles, reason) with where the head
-  // looked last and, where that is why, what went wrong.
+  // HeadsetOverlay.write takes and whether the picture may be turning; take() and level(), by
+  // controller; ended(angles, reason) with where the head looked last and, where that is why, what
+  // went wrong.
   constructor(handlers) {
     Object.assign(this, {handlers, session: null, renderer: null});
   }
