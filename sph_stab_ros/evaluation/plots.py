@@ -90,6 +90,8 @@ def methods_figure(title: str, errors: Mapping[str, Errors]) -> Figure:
     panel.set_xticks(range(len(errors)), [name.replace('/', '\n') for name in errors])
     panel.set_ylabel('mean absolute error [deg]')
     _logarithmic(panel)
+    # Room for the number on the highest bar.
+    panel.set_ylim(top=1.4 * panel.get_ylim()[1])
     panel.grid(axis='y', alpha=0.3)
     panel.set_axisbelow(True)
     # Beside the bars, none of which it hides there.
