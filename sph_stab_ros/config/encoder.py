@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from sph_stab_ros.config.options import Checked, ConfigError, option
 
-H264, H265, AV1 = 'h264', 'h265', 'av1'
+BY_DEPTH, H264, H265, AV1 = 'auto', 'h264', 'h265', 'av1'
 # By FFmpeg's names, from quick to small; those of AV1 are SVT-AV1's.
 PRESETS = ('ultrafast', 'superfast', 'veryfast', 'faster', 'fast', 'medium', 'slow', 'slower',
            'veryslow')
@@ -25,7 +25,9 @@ DEFAULTS = {H264: (20, 'veryfast'), H265: (22, 'veryfast'), AV1: (27, '10')}
 class EncoderConfig(Checked):
     """The codec of a video, and how much time and room it may take."""
 
-    codec: str = option(H264, 'Codec of the video', choices=(*DEFAULTS,))
+    codec: str = option(
+        BY_DEPTH, 'Codec of the video: auto is h264, or h265 for pictures of more than eight '
+        'bits, of which h265 and av1 keep ten', choices=(BY_DEPTH, *DEFAULTS))
     quality: int = option(
         0, 'Constant rate factor (CRF) of the codec, the smaller the better and the larger the '
         'file; 0 leaves it to the codec: 20 for h264, 22 for h265, 27 for av1', minimum=0,
@@ -39,11 +41,16 @@ class EncoderConfig(Checked):
         super().__post_init__()
         known = AV1_PRESETS if self.codec == AV1 else PRESETS
         if self.preset not in ('', *known):
-            raise ConfigError(f"preset of {self.codec} is one of {', '.join(known)}, not "
-                              f"'{self.preset}'")
+            raise ConfigError(f'preset of {self.codec_for(False)} is one of {", ".join(known)}, '
+                              f"not '{self.preset}'")
 
-    @property
-    def options(self) -> dict[str, str]:
-        """Return what FFmpeg's encoder is told."""
-        quality, preset = DEFAULTS[self.codec]
+    def codec_for(self, is_deep: bool) -> str:
+        """Return the codec of pictures of eight bits, or of more."""
+        if self.codec != BY_DEPTH:
+            return self.codec
+        return H265 if is_deep else H264
+
+    def options(self, codec: str) -> dict[str, str]:
+        """Return what FFmpeg's software encoder of a codec is told."""
+        quality, preset = DEFAULTS[codec]
         return {'crf': str(self.quality or quality), 'preset': self.preset or preset}
