@@ -79,7 +79,7 @@ def output_sinks(args: Namespace, settings: Settings, recording: Recording, stac
         return (side_by_side(s, now.look.R_virtual_view, now.look.hfov_rad) if args.side_by_side
                 else draw_view(s, config, now))
     yield video_sink(args.out, args.force, stack, recording, not is_cut(args), picture, is_sphere,
-                     args.encoder, args.hyperlapse or 1)
+                     args.encoding, args.hyperlapse or 1)
     if args.stills:
         yield stills_sink(args.out.with_name(f'{args.out.stem}_stills'), args.force, stack,
                           args.stills, picture)

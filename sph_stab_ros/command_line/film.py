@@ -44,7 +44,7 @@ def check_film(parser: argparse.ArgumentParser, args: argparse.Namespace, is_vid
             parser.error(f'--{name.replace("_", "-")} needs {wanted}')
     if args.directions and args.view:
         parser.error('--directions says where the view looks: leave out --view')
-    args.encoder = encoder_of(parser, args)
+    args.encoding = encoder_of(parser, args)
 
 
 def encoder_of(parser: argparse.ArgumentParser, args: argparse.Namespace) -> EncoderConfig:

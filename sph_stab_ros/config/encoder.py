@@ -19,6 +19,15 @@ PRESETS = ('ultrafast', 'superfast', 'veryfast', 'faster', 'fast', 'medium', 'sl
 AV1_PRESETS = tuple(map(str, range(13, -1, -1)))
 # Visually lossless at the smallest cost in time: CRF and preset.
 DEFAULTS = {H264: (20, 'veryfast'), H265: (22, 'veryfast'), AV1: (27, '10')}
+# In graphics cards and other chips: how FFmpeg's names of their encoders begin, by the codec, and
+# by the end of the names what tells them to keep a quality.
+HARDWARE_CODECS = {'h264': H264, 'hevc': H265, 'av1': AV1}
+HARDWARE_QUALITY = {
+    'nvenc': ('cq', {'rc': 'vbr', 'b': '0'}), 'qsv': ('global_quality', {}),
+    'amf': ('qvbr_quality_level', {'rc': 'qvbr'}), 'vaapi': ('qp', {'rc_mode': 'CQP'}),
+    'videotoolbox': ('global_quality', {'flags': '+qscale'})}
+HARDWARE_ENCODERS = tuple(
+    f'{codec}_{kind}' for codec in HARDWARE_CODECS for kind in HARDWARE_QUALITY)
 
 
 @dataclass(frozen=True)
@@ -36,16 +45,27 @@ class EncoderConfig(Checked):
         '', "How much time the encoder takes for a small file, by FFmpeg's names: ultrafast to "
         'veryslow, for av1 13 to 0; veryfast and 10 where none is given')
 
+    encoder: str = option(
+        '', "FFmpeg's encoder in a graphics card or another chip: h264, hevc or av1, then _nvenc, "
+        '_qsv, _amf, _vaapi or _videotoolbox; software encodes where it cannot be used here')
+
     def __post_init__(self) -> None:
-        """Check each option's value, and that the codec knows the preset."""
+        """Check each option's value, and that the codec knows the preset and the encoder."""
         super().__post_init__()
-        known = AV1_PRESETS if self.codec == AV1 else PRESETS
+        if self.encoder not in ('', *HARDWARE_ENCODERS):
+            raise ConfigError(f"encoder is one of {', '.join(HARDWARE_ENCODERS)}, not "
+                              f"'{self.encoder}'")
+        if self.encoder and self.codec not in (BY_DEPTH, self.codec_for(False)):
+            raise ConfigError(f'encoder {self.encoder} is none of {self.codec}')
+        known = AV1_PRESETS if self.codec_for(False) == AV1 else PRESETS
         if self.preset not in ('', *known):
             raise ConfigError(f'preset of {self.codec_for(False)} is one of {", ".join(known)}, '
                               f"not '{self.preset}'")
 
     def codec_for(self, is_deep: bool) -> str:
         """Return the codec of pictures of eight bits, or of more."""
+        if self.encoder:
+            return HARDWARE_CODECS[self.encoder.partition('_')[0]]
         if self.codec != BY_DEPTH:
             return self.codec
         return H265 if is_deep else H264
@@ -54,3 +74,10 @@ class EncoderConfig(Checked):
         """Return what FFmpeg's software encoder of a codec is told."""
         quality, preset = DEFAULTS[codec]
         return {'crf': str(self.quality or quality), 'preset': self.preset or preset}
+
+    @property
+    def hardware_options(self) -> dict[str, str]:
+        """Return what the encoder in hardware is told; its presets are its own."""
+        prefix, _, kind = self.encoder.partition('_')
+        name, more = HARDWARE_QUALITY[kind]
+        return {**more, name: str(self.quality or DEFAULTS[HARDWARE_CODECS[prefix]][0])}

@@ -25,6 +25,7 @@ from sph_stab_ros.images.colour import Colour, from_bgr, STANDARD
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.side_by_side import as_bgr
 from sph_stab_ros.images.times import PictureClock
+from sph_stab_ros.images.video.encoders import EncoderError, FORMATS, usable_format
 from sph_stab_ros.images.video.picture import range_tag
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.pyav import av
@@ -38,7 +39,6 @@ TIME_BASE = Fraction(1, 90000)
 MIN_REORDERED = 3
 # Only a hint for the encoder; each picture has its own time.
 NOMINAL_RATE = 30
-PIXEL_FORMAT, DEEP_PIXEL_FORMAT = 'yuv420p', 'yuv420p10le'
 # FFmpeg's encoders, what they are told besides, and the tag by which players know a stream.
 ENCODERS = {'h264': ('libx264', {}, ''),
             'h265': ('libx265', {'x265-params': 'log-level=error'}, 'hvc1'),
@@ -117,7 +117,10 @@ class VideoWriter:
         # One plane after the other.
         planes = np.concatenate([one.ravel() for one in from_bgr(as_bgr(image), self._colour)])
         picture = av.VideoFrame.from_ndarray(
-            planes.reshape(-1, image.shape[1]), format=self._stream.pix_fmt)
+            planes.reshape(-1, image.shape[1]), format=FORMATS[image.dtype != np.uint8][0])
+        if picture.format.name != self._stream.pix_fmt:
+            # The same values, in another order.
+            picture = picture.reformat(format=self._stream.pix_fmt)
         picture.pts = self._last_pts = max(
             self._last_pts + 1,
             round(Fraction(time_ns - self._first_ns, NS_PER_S) / TIME_BASE))
@@ -134,20 +137,18 @@ class VideoWriter:
             self._container.mux(packet)
 
     def _start(self, image: Raster, time_ns: int, colour: Colour) -> None:
-        is_deep = image.dtype != np.uint8
-        codec_name = self._encoder.codec_for(is_deep)
-        name, more, tag = ENCODERS[codec_name]
+        name, options, pixel_format, tag = self._encoder_for(image)
         # SVT-AV1 tells of all that it does.
         os.environ.setdefault('SVT_LOG', '1')
         try:
             self._stream = self._container.add_stream(
-                name, rate=NOMINAL_RATE, options={**self._encoder.options(codec_name), **more})
+                name, rate=NOMINAL_RATE, options=options)
         except ValueError as error:
             raise RecordingError(f'{self.path} needs PyAV with {name}: {error}') from None
         if tag:
             self._stream.codec_context.codec_tag = tag
         self._stream.height, self._stream.width = image.shape[:2]
-        self._stream.pix_fmt = DEEP_PIXEL_FORMAT if is_deep else PIXEL_FORMAT
+        self._stream.pix_fmt = pixel_format
         self._stream.time_base = self._stream.codec_context.time_base = TIME_BASE
         self._colour, codec = colour, self._stream.codec_context
         codec.colorspace, codec.color_range = colour.matrix, range_tag(colour)
@@ -155,3 +156,17 @@ class VideoWriter:
         self._first_ns = time_ns
         if self._sound_source is not None:
             self._sound = Sound(self._sound_source, self._container, time_ns)
+
+    def _encoder_for(self, image: Raster) -> tuple[str, dict[str, str], str, str]:
+        """Return the encoder's name, its options, the pixel format and the tag for such images."""
+        is_deep = image.dtype != np.uint8
+        codec, wanted = self._encoder.codec_for(is_deep), self._encoder.encoder
+        name, more, tag = ENCODERS[codec]
+        if wanted:
+            options = self._encoder.hardware_options
+            try:
+                return wanted, options, usable_format(
+                    wanted, image.shape[1::-1], options, is_deep), tag
+            except EncoderError as error:
+                logger.warning('%s cannot be used here: %s; %s encodes', wanted, error, name)
+        return name, {**self._encoder.options(codec), **more}, FORMATS[is_deep][0], tag
