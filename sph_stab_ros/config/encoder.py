@@ -29,6 +29,14 @@ HARDWARE_QUALITY = {
 HARDWARE_ENCODERS = tuple(
     f'{codec}_{kind}' for codec in HARDWARE_CODECS for kind in HARDWARE_QUALITY)
 
+# Those of live video, and what they are told so that each picture comes out at once.
+LIVE_ENCODERS: dict[str, dict[str, str]] = {
+    'h264_nvenc': {'preset': 'p3', 'tune': 'ull', 'zerolatency': '1', 'delay': '0', 'rc': 'cbr'},
+    'h264_qsv': {'preset': 'veryfast', 'async_depth': '1'},
+    'h264_amf': {'usage': 'ultralowlatency', 'rc': 'cbr'},
+    'h264_vaapi': {'async_depth': '1'}, 'h264_videotoolbox': {'realtime': '1'},
+    'h264_v4l2m2m': {}}
+
 
 @dataclass(frozen=True)
 class EncoderConfig(Checked):

@@ -32,6 +32,7 @@ from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.config import LIVE_ENCODERS
 from sph_stab_ros.operator.addresses import own_address
 
 if TYPE_CHECKING:
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from sph_stab_ros.operator.video import Video
 
 PORT = 8360
+# Encoders that are not in hardware.
+X264, NONE = 'x264', 'none'
 LOOPBACK = '127.0.0.1'
 # What is said of optional dependencies.
 MISSING = {'aiohttp': 'this needs aiohttp',
@@ -79,10 +82,11 @@ def arguments(argv: Sequence[str]) -> Namespace:
     parser.add_argument('--pictures', choices=('camera', 'stabilizer'), default='camera',
                         help="whose pictures to send; the stabilizer's costs more, and is for "
                              'cameras that are not equirectangular (default: %(default)s)')
-    parser.add_argument('--encoder', choices=('x264', 'none'), default='x264',
+    parser.add_argument('--encoder', choices=(X264, NONE, *LIVE_ENCODERS), default=X264,
                         help='what makes a video of the pictures for browsers that take one: a '
-                             'tenth of the bits for half a core; none sends JPEG alone '
-                             '(default: %(default)s)')
+                             'tenth of the bits for half a core; one in a graphics card or '
+                             'another chip, if it can be used, x264 otherwise; none sends JPEG '
+                             'alone (default: %(default)s)')
     parser.add_argument('--recordings', type=Path, default=Path('recordings'), metavar='FOLDER',
                         help='where the bags come that the page records (default: %(default)s)')
     args = parser.parse_args(argv)
@@ -167,8 +171,9 @@ async def serve(args: Namespace) -> None:
         LOG.warning('there is no parameter %s here; those of the stabilizer are set at that node',
                     ', '.join(map(repr, unknown)))
     warn = ThrottledLog(LOG.warning).warn
+    encoding = None if args.encoder == NONE else video(warn, args.encoder)
     server = OperatorServer(robot, Access(args.host, token), Recorder(args.recordings, warn), warn,
-                            args.browsers, video(warn) if args.encoder == 'x264' else None)
+                            args.browsers, encoding)
     if tls and tls.authority_pem:
         server.files.offer(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
     try:
@@ -191,14 +196,14 @@ async def serve(args: Namespace) -> None:
             robot.destroy_node()
 
 
-def video(warn: Callable[[str, str], object]) -> 'Video | None':
-    """Return what encodes, or None where it cannot be, with a line in the log."""
+def video(warn: Callable[[str, str], object], encoder: str) -> 'Video | None':
+    """Return what encodes, or None where nothing can, with a line in the log."""
     from sph_stab_ros.images.video.decoder import INSTALL
     try:
-        from sph_stab_ros.operator.h264 import can_encode
+        from sph_stab_ros.operator.h264 import can_encode, SOFTWARE
         from sph_stab_ros.operator.video import Video
         if can_encode():
-            return Video(warn)
+            return Video(warn, SOFTWARE if encoder == X264 else encoder)
     except ImportError as error:
         if error.name != 'av':
             raise

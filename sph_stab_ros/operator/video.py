@@ -21,7 +21,7 @@ from time import monotonic
 
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.operator.flow import VideoFlow
-from sph_stab_ros.operator.h264 import H264Encoder
+from sph_stab_ros.operator.h264 import H264Encoder, SOFTWARE
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.rate_control import MIN_BIT_RATE
 
@@ -54,12 +54,14 @@ class Rung:
 
     Its bit rate is that of the slowest, but not less than ``min_bit_rate``: below that the browser
     has to go down, so that what one can do to others is bounded. All methods are for the event
-    loop's thread; ``warn`` logs a text, before which comes the kind of event.
+    loop's thread; ``warn`` logs a text, before which comes the kind of event, from any thread.
+    The encoder may be one in hardware.
     """
 
-    def __init__(self, divisor: int, min_bit_rate: float,
-                 warn: Callable[[str, str], object]) -> None:
+    def __init__(self, divisor: int, min_bit_rate: float, warn: Callable[[str, str], object],
+                 encoder_name: str) -> None:
         self._divisor, self._min_bit_rate, self._warn = divisor, min_bit_rate, warn
+        self._encoder_name = encoder_name
         self._flows: list[VideoFlow] = []
         self._next: tuple[int, Picture] | None = None
         self._work: asyncio.Task[None] | None = None
@@ -129,17 +131,17 @@ class Rung:
                 ) -> tuple[bytes, bool, tuple[int, int]]:
         """Encode a picture, in the thread; return also the size of the file's."""
         if self._encoder is None:
-            self._encoder = H264Encoder(self._divisor)
+            self._encoder = H264Encoder(self._divisor, self._encoder_name, self._warn)
         return (*self._encoder.encode(file, bit_rate, period_s, wants_key),
                 self._encoder.source_size)
 
 
 class Video:
-    """Has two rungs and moves browsers to that which they can take; ``warn`` as of a Rung."""
+    """Has two rungs and moves browsers to that which they can take; arguments as of a Rung."""
 
-    def __init__(self, warn: Callable[[str, str], object]) -> None:
-        self._full = Rung(1, MIN_FULL_BIT_RATE, warn)
-        self._half = Rung(2, MIN_BIT_RATE, warn)
+    def __init__(self, warn: Callable[[str, str], object], encoder_name: str = SOFTWARE) -> None:
+        self._full = Rung(1, MIN_FULL_BIT_RATE, warn, encoder_name)
+        self._half = Rung(2, MIN_BIT_RATE, warn, encoder_name)
         self._flows: list[VideoFlow] = []
 
     def add(self, flow: VideoFlow) -> None:

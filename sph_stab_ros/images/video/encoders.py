@@ -25,21 +25,28 @@ class EncoderError(Exception):
     """Why an encoder cannot be used here, in a few words."""
 
 
+def input_format(name: str, is_deep: bool = False) -> str:
+    """Return FFmpeg's pixel format for an encoder, by FFmpeg's name, or raise EncoderError."""
+    try:
+        known = {one.name for one in Codec(name, 'w').video_formats or ()}
+    except ValueError:
+        raise EncoderError('it is not in this PyAV') from None
+    # Of V4L2's only the driver knows.
+    for one in FORMATS[is_deep]:
+        if one in known or not known:
+            return one
+    raise EncoderError(f'it takes no pictures of {10 if is_deep else 8} bits from memory')
+
+
 def usable_format(name: str, size_wh: tuple[int, int], options: Mapping[str, str],
                   is_deep: bool = False) -> str:
     """
-    Return FFmpeg's pixel format for an encoder of FFmpeg's by its name, having opened it once.
+    Return what ``input_format`` does, having opened the encoder once.
 
     Whether there is a card for it, a driver, and room for one stream more, nothing else tells.
     """
-    try:
-        known = {one.name for one in Codec(name, 'w').video_formats or ()}
-        context: Any = CodecContext.create(name, 'w')
-    except ValueError:
-        raise EncoderError('it is not in this PyAV') from None
-    pixel_format = next((one for one in FORMATS[is_deep] if one in known), None)
-    if pixel_format is None:
-        raise EncoderError(f'it takes no pictures of {10 if is_deep else 8} bits from memory')
+    pixel_format = input_format(name, is_deep)
+    context: Any = CodecContext.create(name, 'w')
     context.width, context.height = size_wh
     context.pix_fmt = pixel_format
     context.time_base, context.framerate = Fraction(1, RATE_HZ), Fraction(RATE_HZ)
