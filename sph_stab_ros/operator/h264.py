@@ -22,7 +22,7 @@ import numpy as np
 from sph_stab_ros.config import LIVE_ENCODERS
 from sph_stab_ros.images.codec import decoded, ImageError, JPEG, whole_file
 from sph_stab_ros.images.video.encoders import EncoderError, input_format
-from sph_stab_ros.images.video.picture import FULL
+from sph_stab_ros.images.video.picture import FULL, plane_of
 
 SOFTWARE = 'libx264'
 # More take too long, and a view of 100° of them has as many pixels as many a window.
@@ -86,8 +86,7 @@ class H264Encoder:
             self._encoder.width, self._encoder.height) == (frame.width, frame.height)
         try:
             if self._name != SOFTWARE:
-                frame = frame.reformat(format=input_format(self._name), dst_color_range='JPEG')
-                frame.pict_type = PictureType.NONE
+                frame = in_format(frame, input_format(self._name))
             if self._encoder is None or wants_key or not fits:
                 self._first_told = told
                 self._encoder = new_encoder(
@@ -126,6 +125,14 @@ class H264Encoder:
         frame.pts = None
         frame.pict_type = PictureType.NONE
         return frame
+
+
+def in_format(frame: VideoFrame, pixel_format: str) -> VideoFrame:
+    """Return a picture with the values of one of ``PIXELS`` in a format that says no range."""
+    picture = VideoFrame(frame.width, frame.height, 'yuv420p')
+    for index in range(3):
+        plane_of(picture, index)[:] = plane_of(frame, index)
+    return picture.reformat(format=pixel_format)
 
 
 def can_encode() -> bool:

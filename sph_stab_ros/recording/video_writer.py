@@ -26,7 +26,7 @@ from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.side_by_side import as_bgr
 from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.images.video.encoders import EncoderError, FORMATS, usable_format
-from sph_stab_ros.images.video.picture import range_tag
+from sph_stab_ros.images.video.picture import plane_of, range_tag
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.pyav import av
 from sph_stab_ros.recording.sound import Sound
@@ -114,10 +114,10 @@ class VideoWriter:
             image = cv2.resize(image, (self._stream.width, self._stream.height))
         if self._sound is not None:
             self._sound.copy_until(time_ns)
-        # One plane after the other.
-        planes = np.concatenate([one.ravel() for one in from_bgr(as_bgr(image), self._colour)])
-        picture = av.VideoFrame.from_ndarray(
-            planes.reshape(-1, image.shape[1]), format=FORMATS[image.dtype != np.uint8][0])
+        picture = av.VideoFrame(
+            self._stream.width, self._stream.height, FORMATS[image.dtype != np.uint8][0])
+        for index, values in enumerate(from_bgr(as_bgr(image), self._colour)):
+            plane_of(picture, index, 8 * values.itemsize)[:] = values
         if picture.format.name != self._stream.pix_fmt:
             # The same values, in another order.
             picture = picture.reformat(format=self._stream.pix_fmt)
