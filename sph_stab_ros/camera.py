@@ -30,6 +30,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from sph_stab_ros.command_line import one_line, Parser
+from sph_stab_ros.command_line.arguments import whole_number
 from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import NODE_PARAMETERS
 from sph_stab_ros.images.codec import (
@@ -121,7 +122,7 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address]:
     parser.add_argument('--frame', metavar='FRAME_ID',
                         default=NODE_PARAMETERS['source_frame'].default,
                         help='frame_id of the images (default: %(default)s)')
-    parser.add_argument('--quality', metavar='N', type=int, choices=range(1, 101),
+    parser.add_argument('--quality', metavar='N', type=whole_number(1, 100),
                         default=JPEG_QUALITY,
                         help='of JPEG files made of other pictures (default: %(default)s)')
     args = parser.parse_args(argv)
