@@ -39,7 +39,7 @@ from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import AUTO, NodeConfig, Settings
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.images.picture_watch import PictureWatch
@@ -210,7 +210,7 @@ def message_type(name: str) -> type[Any]:
 def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:
     """Replace the header's stamp, where there is one, by ``new_ns(stamp in ns)``."""
     if hasattr(msg, 'header'):
-        msg.header.stamp = time_message(new_ns(ros_messages.stamp_ns(msg.header.stamp)))
+        msg.header.stamp = time_message(new_ns(stamp_ns(msg.header.stamp)))
 
 
 def time_message(ns: int) -> Any:

@@ -42,10 +42,10 @@ from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.config import MIN_WIDTH
 from sph_stab_ros.evaluation.report import Figures
+from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.player import Player
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.ros.messages import stamp_ns
 
 PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 NAMESPACE = 'benchmark'

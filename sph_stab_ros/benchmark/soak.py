@@ -37,10 +37,9 @@ from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.arguments import file_argument, whole_number
 from sph_stab_ros.command_line.processes import memory_mb, running
 from sph_stab_ros.evaluation.report import Figures
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.stabilization.imu import NOT_MEASURED
 from sph_stab_ros.stabilization.level import GRAVITY_M_S2
 from std_msgs.msg import Header

@@ -41,11 +41,10 @@ from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.arguments import whole_number
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.evaluation.report import Figures
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.live.capture_clock import SENDER
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.ros.messages import stamp_ns
 
 KEY = 'source'
 PICTURES = 60
