@@ -235,7 +235,8 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
     group = add_parameters(
-        parser, 'image_transport, jpeg_quality and projection count: the node gets what it wants')
+        parser, 'image_transport, jpeg_quality, projection and layout count, but what a bag has '
+                'compressed goes out as it is')
     group.add_argument('--compressed', action=SetParameters, nargs=0,
                        read=lambda _, flag: {'image_transport': (flag, 'compressed')},
                        help='publish JPEG on image/compressed also where images are raw')
