@@ -171,15 +171,15 @@ def command_line() -> Parser:
                         help=f'each estimator with each of {", ".join(FLOWS)} '
                         "(default: the parameters')")
     parser.add_argument('--offline', action='store_true',
-                        help=f'of {ANCHORED} the orientations of replay --offline, too')
+                        help=f'measure {ANCHORED} as replay --offline has it, too')
     parser.add_argument('--truth', metavar='TOPIC',
                         help='PoseStamped, PoseWithCovarianceStamped, QuaternionStamped, '
                         'TransformStamped, Odometry, Imu, Path or TFMessage, or "telemetry": '
                         "what the camera's own sensors measured, in the metadata of a video "
                         '(default: the topic there is)')
     parser.add_argument('--truth-frames', metavar='PARENT:CHILD', type=frames_argument,
-                        help='of a TFMessage topic, whose orientation in which frame is truth: '
-                        'the body in the world')
+                        help='which transform of a TFMessage topic is the truth: from the frame '
+                        'of the world to that of the body')
     parser.add_argument('--mount', metavar='YAW,PITCH,ROLL', type=mount_argument,
                         help="where the camera looks on the truth's body, in degrees to the left, "
                         'up, clockwise, or as a quaternion x,y,z,w of the optical frame; '
@@ -188,12 +188,13 @@ def command_line() -> Parser:
                         help="the truth's stamps minus the images' (default: 0, of telemetry "
                         'auto)')
     parser.add_argument('--inject', metavar='SEED', type=whole_number(0),
-                        help='need no truth: turn the footage by known rotations')
+                        help='instead of a truth: turn the footage by known rotations, drawn with '
+                        'this seed')
     parser.add_argument('--body', metavar='MASK',
                         help='with --inject, what is fixed to the camera and does not turn with '
                         'the world, written as --mask is (default: what that leaves out)')
     parser.add_argument('--every', metavar='SECONDS', type=period_argument,
-                        help='tell the error in the course of time too')
+                        help='tell the error at every so many seconds, too')
     parser.add_argument('--json', metavar='FILE', type=file_argument,
                         help='write the figures, replacing the file')
     parser.add_argument('--tum', metavar='DIR', type=output_argument,

@@ -134,7 +134,9 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
                         default=Path('bags/drone'),
                         help='where the pictures come from (default: %(default)s)')
     parser.add_argument('--parts', metavar='P,...', type=names_argument(PARTS),
-                        default=','.join(PARTS), help='what to measure (default: %(default)s)')
+                        default=','.join(PARTS),
+                        help='what to measure: milliseconds, what a long run costs, errors and '
+                        'times beside others (default: %(default)s)')
     parser.add_argument('--widths', metavar='W,...', type=widths_argument,
                         default=','.join(map(str, WIDTHS)),
                         help='widths in pixels (default: %(default)s)')
@@ -142,7 +144,7 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
                         help=f'calls to take the median of, fewer for those that take more than '
                         f'{BUDGET_S:g} s in all (default: %(default)s)')
     parser.add_argument('--growth-frames', metavar='N', type=whole_number(10), default=2000,
-                        help='how long the growth is watched, at least 10 (default: %(default)s)')
+                        help='length of the long run, at least 10 (default: %(default)s)')
     parser.add_argument('--json', metavar='FILE', type=file_argument, help='write all figures')
     return parser.parse_args(argv)
 

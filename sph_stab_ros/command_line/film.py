@@ -20,7 +20,7 @@ FILM_OPTIONS = ('side_by_side', 'hyperlapse', 'directions', 'stills', *ENCODER_O
 
 def add_film(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    group = parser.add_argument_group('the video', 'All need one as output.')
+    group = parser.add_argument_group('the video', 'All need a video as output.')
     group.add_argument('--side-by-side', action='store_true',
                        help='show sphere, front and back view, recorded and stabilised')
     group.add_argument('--directions', metavar='FILE.yaml|TOPIC',

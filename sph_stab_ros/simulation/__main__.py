@@ -57,7 +57,8 @@ def parser() -> Parser:
                         help='where in the flight to start (default: %(default)s)')
     result.add_argument('--every', type=int, default=1, metavar='N',
                         help='take every N-th frame only (default: %(default)s)')
-    result.add_argument('--frames-limit', type=int, metavar='N', help='number of frames to write')
+    result.add_argument('--frames-limit', type=int, metavar='N',
+                        help='number of frames to write (default: all)')
     result.add_argument('--width', type=int, default=640, metavar='PX',
                         help='of the pictures, a multiple of 4 (default: %(default)s)')
     result.add_argument('--quality', type=whole_number(1, 100), default=80, metavar='1-100',
