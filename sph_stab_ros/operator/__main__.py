@@ -27,13 +27,12 @@ from typing import TYPE_CHECKING
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
 from sph_stab_ros.command_line.arguments import whole_number
-from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.operator.addresses import own_address
+from sph_stab_ros.ros.starting import start_ros
 
 if TYPE_CHECKING:
     from sph_stab_ros.operator.listening import Listener
@@ -105,12 +104,8 @@ def arguments(argv: Sequence[str]) -> Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['operator', *argv]
-    try:
-        args = arguments(remove_ros_args(argv)[1:])
-        set_up_process()
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        print(f'operator: {str(error).splitlines()[0]}', file=sys.stderr)
+    args = start_ros('operator', argv, arguments, ended_by_signals=False)
+    if args is None:
         return 2
     logging.basicConfig(format='operator: %(message)s', level=logging.INFO, stream=sys.stderr)
     try:
