@@ -52,10 +52,11 @@ fuzz: setup  ## Damage inputs in new ways for FUZZ_SECONDS; what fails stays in 
 
 # Processes that tests start are measured too; their files stay out of the way of the sources.
 coverage: export COVERAGE_FILE = $(CURDIR)/results/coverage/data
-coverage: setup  ## Run test-fast, and tell in results/coverage which lines it runs
+coverage: setup  ## Run test-fast, and tell in results/coverage and docs/tests.md what it covers
 	mkdir -p results/coverage
-	$(PY) $(PYTEST) -m '$(FAST)' --cov --cov-report=term \
-	    --cov-report=html:results/coverage/html
+	$(PY) $(PYTEST) -m '$(FAST)' --cov --cov-report=html:results/coverage/html \
+	    --cov-report=json:results/coverage/coverage.json
+	$(PY) -m sph_stab_ros.evaluation.page_tables results/coverage docs/tests.md
 
 ledger: setup  ## Write test/ledger.json, the accuracy measured; ONLY='drone anchored' for a part
 	$(PY) test/support/tracking_accuracy.py $(ONLY)

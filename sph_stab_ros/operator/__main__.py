@@ -27,13 +27,13 @@ from typing import TYPE_CHECKING
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
-from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.command_line.arguments import whole_number
+from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import LIVE_ENCODERS
 from sph_stab_ros.operator.addresses import own_address
+from sph_stab_ros.ros.starting import start_ros
 
 if TYPE_CHECKING:
     from sph_stab_ros.operator.listening import Listener
@@ -63,7 +63,7 @@ def arguments(argv: Sequence[str]) -> Namespace:
     parser.add_argument('--host', default=LOOPBACK, metavar='ADDRESS',
                         help='where to listen; 0.0.0.0 for the whole network, whose browsers then '
                              'need the token in the address printed (default: %(default)s)')
-    parser.add_argument('--port', type=int, metavar='N',
+    parser.add_argument('--port', type=whole_number(0, 2**16 - 1), metavar='N',
                         help=f'0 for any that is free (default: {PORT}, or any if that is taken)')
     parser.add_argument('--token-file', type=Path, metavar='FILE',
                         help='file with the token to ask for, instead of a new one at each start')
@@ -75,7 +75,7 @@ def arguments(argv: Sequence[str]) -> Namespace:
     parser.add_argument('--insecure', action='store_true',
                         help='serve http also beyond this machine: everybody on the way can see '
                              'the pictures and the token')
-    parser.add_argument('--browsers', type=int, default=5, metavar='N',
+    parser.add_argument('--browsers', type=whole_number(1), default=5, metavar='N',
                         help='how many may look at the same time (default: %(default)s)')
     parser.add_argument('--stabilizer', default='stabilizer', metavar='NAME',
                         help='name of the stabilizer node (default: %(default)s)')
@@ -90,10 +90,6 @@ def arguments(argv: Sequence[str]) -> Namespace:
     parser.add_argument('--recordings', type=Path, default=Path('recordings'), metavar='FOLDER',
                         help='where the bags come that the page records (default: %(default)s)')
     args = parser.parse_args(argv)
-    if args.port is not None and not 0 <= args.port < 2**16:
-        parser.error('--port lies within 0 and 65535')
-    if args.browsers < 1:
-        parser.error('--browsers must be positive')
     if args.insecure and args.certificate:
         parser.error('--insecure leaves no use for --certificate')
     if args.key and not args.certificate:
@@ -112,12 +108,8 @@ def arguments(argv: Sequence[str]) -> Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['operator', *argv]
-    try:
-        args = arguments(remove_ros_args(argv)[1:])
-        set_up_process()
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        print(f'operator: {str(error).splitlines()[0]}', file=sys.stderr)
+    args = start_ros('operator', argv, arguments, ended_by_signals=False)
+    if args is None:
         return 2
     logging.basicConfig(format='operator: %(message)s', level=logging.INFO, stream=sys.stderr)
     try:

@@ -32,7 +32,7 @@ UP_BIT_RATE = 2.2e6
 FIRST_PERIOD_S, MAX_PERIOD_S, SMOOTHING = 1 / 30, 1., 0.1
 
 
-class Pace:
+class Rhythm:
     """How often something happens: ``period_s`` is smoothed."""
 
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
@@ -66,7 +66,7 @@ class Rung:
         self._next: tuple[int, Picture] | None = None
         self._work: asyncio.Task[None] | None = None
         self._encoder: H264Encoder | None = None
-        self._pace = Pace()
+        self._rhythm = Rhythm()
         self._thread = ThreadPoolExecutor(1, f'h264_{divisor}')
 
     def __contains__(self, flow: VideoFlow) -> bool:
@@ -110,13 +110,13 @@ class Rung:
         loop = asyncio.get_running_loop()
         while self._next and self._flows:
             (sequence, picture), self._next = self._next, None
-            self._pace.step()
+            self._rhythm.step()
             bit_rate = max(self._min_bit_rate, min(flow.rate.bit_rate for flow in self._flows))
             wants_key = any(flow.needs_key for flow in self._flows)
             try:
                 data, is_key, source_size = await loop.run_in_executor(
                     self._thread, self._encode, picture.data, bit_rate,
-                    self._pace.period_s, wants_key)
+                    self._rhythm.period_s, wants_key)
             except ImageError as error:
                 self._warn(error.reason, f'picture left out, {error}')
                 continue

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from simulated_imu import imu_samples
 from sph_stab_ros.config import ImuConfig, StabilizerConfig, TrackerConfig
 from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.simulation import flights
-from sph_stab_ros.simulation.imu import imu_samples
 from sph_stab_ros.stabilization.imu import (
     ImuError, ImuSample, ImuSamples, mount_rotation, NEITHER)
 from sph_stab_ros.stabilization.imu_history import ImuHistory

@@ -76,7 +76,7 @@ class AnchoredTracker:
     @property
     def body_mask(self) -> Mask:
         """Pixels (80, 160) bool of the camera that stand still while the world turns."""
-        return self._visible.still.mask
+        return self._visible.body.mask
 
     @property
     def options(self) -> AnchoredOptions:
@@ -144,7 +144,7 @@ class AnchoredTracker:
             status_of(self._covariance), self._covariance)
 
     def settle(self) -> None:
-        """Do what the last orientation did not have to wait for: keyframes, and recognition."""
+        """Do what the last orientation did not have to wait for: keyframes, relocalisation."""
         # Taken off first: one that fails must not fail again with every frame to come.
         keyframe, self._keyframe_to_add = self._keyframe_to_add, None
         if keyframe:
