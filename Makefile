@@ -19,7 +19,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
-.PHONY: evaluation-real evaluation-offline evaluation-hard company evaluation-company benchmark
+.PHONY: evaluation-real evaluation-offline evaluation-hard evaluation-rolling company evaluation-company benchmark
 .PHONY: benchmark-company benchmark-ros soak docs frames bags hard-frames hard constraints packages clean
 
 help:  ## List the targets
@@ -103,6 +103,19 @@ evaluation-offline: setup  ## The live tracker beside the offline one, also on R
 	    $(OFFLINE) $(REAL)/handheld_theta/handheld_theta.mp4 --max-frames 300 --inject $$seed \
 	    --json $(RESULTS)/offline_theta_$$seed.json || exit 1; done
 	$(FILL_IN_TABLES)
+
+ROLLED = $(PY) -m sph_stab_ros.evaluate results/rolling/$(1) $(MOUNT) --estimators anchored
+
+evaluation-rolling: setup  ## With a rolling shutter, not told of and told, on two simulated flights
+	mkdir -p results/rolling $(RESULTS)
+	$(SIMULATE) shake results/rolling/shake --force --frames-limit 60 --width 960 --hard rolling
+	$(SIMULATE) drone results/rolling/drone --force --frames-limit 120 --width 960 --hard rolling \
+	    --logs '$(LOGS)' --every 2
+	for one in shake drone; do \
+	    $(call ROLLED,$$one) --json $(RESULTS)/rolling_$$one.json && \
+	    $(call ROLLED,$$one) -p rolling_shutter_s:=0.02 --json $(RESULTS)/rolling_$${one}_told.json \
+	    || exit 1; done
+	$(PY) -m sph_stab_ros.evaluation.page_tables $(RESULTS) docs/cameras.md
 
 evaluation-hard: setup  ## The same on what make hard has written
 	mkdir -p $(RESULTS)

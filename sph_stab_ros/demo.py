@@ -50,7 +50,7 @@ from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.recording.video_writer import VideoWriter
 from sph_stab_ros.ros.messages import rotation_from_message
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import TrackingStatus
 from tqdm import tqdm
 

@@ -39,12 +39,13 @@ from sph_stab_ros.stabilization.directions import (
     DirectionPath, read_directions, recorded_directions)
 from sph_stab_ros.stabilization.offline import looking_ahead, offline_stabilizer
 from sph_stab_ros.stabilization.outputs import configured_camera, draw_sphere, draw_view
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import (
     FrameProcessor, stabilize_recording, Summary)
 from sph_stab_ros.stabilization.sinks import (
     bag_sink, Sink, stills_sink, trajectory_sink, video_sink)
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import make_tracker, MakeTracker
 
 from tqdm import tqdm

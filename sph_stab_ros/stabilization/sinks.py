@@ -26,7 +26,7 @@ from sph_stab_ros.recording import Recording
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, fits_into_tree, orientation_outputs, picture_outputs)
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 
 logger = logging.getLogger(__name__)
 

@@ -24,7 +24,8 @@ from sph_stab_ros.stabilization.imu import (
 from sph_stab_ros.stabilization.imu_history import ImuHistory
 from sph_stab_ros.stabilization.level import (
     Gravity, GRAVITY_M_S2, heading, level_rotation, Leveler, LevelError, UP)
-from sph_stab_ros.stabilization.pipeline import StabilizationEvent, Stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent
 from sph_stab_ros.tracking import TrackingStatus
 from synthetic import angle_deg, textured_sphere, unit
 

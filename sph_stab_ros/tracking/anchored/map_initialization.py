@@ -86,7 +86,11 @@ class MapInitializer:
         ``R_camera_last`` is a guess.
         """
         self.R_world_continued = None
-        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
+        if self._first_ns is None:
+            # By now it is known how the camera moved.
+            self._first_ns = stamp_ns
+            self._map.correct_first()
+            self._y = self._map.landmarks.x.copy()
         options = self._localization
         sigma = max(self._motion.position_sigma_per_s * (stamp_ns - self._first_ns) / NS_PER_S,
                     self._motion.min_position_sigma)
