@@ -92,6 +92,8 @@ class VideoFlow:
                  clock: Callable[[], float] = monotonic) -> None:
         self._wake, self._clock = wake, clock
         self.rate = RateControl(clock)
+        # Whether it is known not to fail at the camera's own video.
+        self.takes_camera = True
         # Whether it has all that the next picture needs.
         self._in_step = False
         self._key_s = -inf
@@ -109,6 +111,11 @@ class VideoFlow:
         oldest_s = self._clock() - next(iter(self._undrawn.values()))[0]
         most_s = UNKNOWN_DELAY_S if self.rate.base_s is None else self.rate.base_s + MAX_QUEUE_S
         return oldest_s < most_s and len(self._undrawn) < MAX_VIDEO_UNDRAWN
+
+    @property
+    def is_in_step(self) -> bool:
+        """Tell whether it has all that the next picture needs."""
+        return self._in_step
 
     @property
     def needs_key(self) -> bool:

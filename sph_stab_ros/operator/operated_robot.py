@@ -41,8 +41,8 @@ class OperatedRobot(Protocol):
     def state(self) -> Any:
         """Return a dataclass for the page."""
 
-    def watch(self, watched: bool) -> None:
-        """Take in whether anybody looks at the pictures."""
+    def watch(self, watched: bool, needs_files: bool) -> None:
+        """Take in whether anybody looks at the pictures, and whether at more than its video."""
 
     def report(self, watchers: Sequence[Watcher]) -> None:
         """Take in who watches, and how well; once a second."""

@@ -36,6 +36,21 @@ class Orientation:
 
 
 @dataclass(frozen=True)
+class Packet:
+    """
+    A picture in the camera's own video, as the camera sent it.
+
+    ``number`` is one more than that of the packet before it, which it needs unless ``chunk`` is
+    'key'; ``codec`` is what WebCodecs call the stream.
+    """
+
+    number: int
+    data: bytes
+    chunk: str
+    codec: str
+
+
+@dataclass(frozen=True)
 class Picture:
     """
     A camera's picture as it goes to the browsers.
@@ -43,7 +58,9 @@ class Picture:
     ``data`` is a JPEG or PNG file, ``received_s`` its time of receipt by ``monotonic``;
     ``orientation`` is None without a node. ``derotated`` tells that it is the virtual camera's.
     Of a picture in a video ``data`` is H.264, and ``chunk`` 'key' or 'delta', as WebCodecs say;
-    ``size`` is that of the camera's, (width, height), which may be larger.
+    ``size`` is that of the camera's, (width, height), which may be larger. ``codec`` is the
+    camera's where the video is. Of a camera that sends video ``packet`` is its own, for browsers
+    that can take it; ``data`` is then empty where nobody needs a file.
     """
 
     stamp_ns: int
@@ -53,6 +70,8 @@ class Picture:
     derotated: bool = False
     chunk: str = ''
     size: tuple[int, int] | None = None
+    codec: str = ''
+    packet: Packet | None = None
 
 
 class StampedOrientations:

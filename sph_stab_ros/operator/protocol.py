@@ -186,6 +186,7 @@ def picture_message(sequence: int, picture: Picture) -> bytes:
         'orientation': picture.orientation and asdict(picture.orientation),
         'derotated': picture.derotated,
         'chunk': picture.chunk,
+        'codec': picture.codec,
     }).encode()
     return b''.join((pack('<I', len(header)), header, picture.data))
 

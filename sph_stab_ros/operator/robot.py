@@ -11,7 +11,8 @@ The robot as the page knows it: pictures with orientations, the stabilizer's sta
 
 The picture that goes to the browsers is the camera's own file, unturned: the browser derotates it
 while it draws. Of a camera that is not equirectangular the stabilizer's picture is taken. Raw
-images are encoded as JPEG. Without a browser no images are subscribed to.
+images are encoded as JPEG; video is decoded, and goes as it is to browsers that can take it.
+Without a browser no images are subscribed to.
 """
 
 import asyncio
@@ -32,8 +33,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sph_stab_ros.config import MODES
 from sph_stab_ros.geometry.conventions import stamp_ns
-from sph_stab_ros.images.codec import (
-    encode_jpeg, image_from_message, ImageError, video_codec)
+from sph_stab_ros.operator.camera_pictures import CameraPictures
 from sph_stab_ros.operator.link_status import link_status
 from sph_stab_ros.operator.operated_robot import RobotError, Watcher
 from sph_stab_ros.operator.pairing import (
@@ -41,7 +41,6 @@ from sph_stab_ros.operator.pairing import (
 from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.messages import rotation_from_message
 from sph_stab_ros.ros.topics import compressed_topic, subscribe_to_images
-from sph_stab_ros.ros.worker import Worker
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -51,7 +50,6 @@ SILENCE_S = 2.5
 ANSWER_S = 3.0
 # Others may change the mode too.
 QUESTION_PERIOD_S = 1.0
-JPEG_QUALITY = 85
 PICTURES = {'camera': 'image', 'stabilizer': 'stabilized/image'}
 MODE = 'smoothing.mode'
 
@@ -95,7 +93,7 @@ class Robot(Node):
     def __init__(self, stabilizer: str, show: Callable[[Picture], object],
                  pictures: str = 'camera') -> None:
         super().__init__('operator')
-        self._topic, self._derotated = PICTURES[pictures], pictures == 'stabilizer'
+        self._topic = PICTURES[pictures]
         self._watched = False
         self._images: Subscription | None = None
         self._transport: str | None = None
@@ -108,8 +106,8 @@ class Robot(Node):
         self._log = ThrottledLog(self.get_logger().warning)
         self._pairing = Pairing(show)
         self._orientations = StampedOrientations(self._pairing.add_orientation)
-        self._encoding = Worker('encoding', self._encode)
-        self._encoding.start()
+        self._pictures = CameraPictures(
+            self._pairing.add_picture, self._log.warn, pictures == 'stabilizer')
 
         self._look = self.create_publisher(QuaternionStamped, 'view/direction', 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
@@ -128,8 +126,8 @@ class Robot(Node):
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def destroy_node(self) -> None:
-        """End the worker and the node."""
-        self._encoding.close()
+        """End the workers and the node."""
+        self._pictures.close()
         super().destroy_node()
 
     # For the web server, from its thread.
@@ -151,9 +149,10 @@ class Robot(Node):
             can_reset=heard and self._reset.service_is_ready(),
             can_level=heard and self._level.service_is_ready())
 
-    def watch(self, watched: bool) -> None:
-        """Say whether anybody looks at the pictures."""
+    def watch(self, watched: bool, needs_files: bool) -> None:
+        """Say whether anybody looks at the pictures, and whether at more than its own video."""
         self._watched = watched
+        self._pictures.needs_files = needs_files
 
     def look(self, direction: UnitQuaternion) -> None:
         """Publish the operator's look direction, the quaternion of R_virtual_view."""
@@ -226,7 +225,7 @@ class Robot(Node):
 
     def _on_image(self, msg: Any) -> None:
         self._image_s = monotonic()
-        self._encoding.put(msg, self._image_s)
+        self._pictures.put(msg, self._image_s)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -263,22 +262,6 @@ class Robot(Node):
             return 'compressed'
         # Until there are any, what was subscribed to last may come again.
         return 'raw' if self.count_publishers(self._topic) else self._transport
-
-    # In the worker's thread.
-
-    def _encode(self, msg: Any, received_s: float) -> None:
-        try:
-            if video_codec(msg):
-                raise ImageError('compressed video', 'pages show the pictures of the stabilizer '
-                                 'in its place: --pictures stabilizer')
-            # Not numpy's: that would be a view of the message.
-            data = bytes(msg.data) if hasattr(msg, 'format') else \
-                encode_jpeg(image_from_message(msg), JPEG_QUALITY).tobytes()
-        except ImageError as error:
-            self._log.warn(error.reason, f'image left out, {error}')
-        else:
-            self._pairing.add_picture(Picture(
-                stamp_ns(msg.header.stamp), data, received_s, derotated=self._derotated))
 
 
 def sentence(text: str) -> str:

@@ -94,12 +94,14 @@ class OperatorServer:
     def show(self, picture: Picture) -> None:
         """Send a Picture to all browsers that are ready for it."""
         self._picture_count += 1
-        self._recorder.take(picture)
+        if picture.data:
+            self._recorder.take(picture)
         for client in self._browsers:
-            if not client.video:
+            if picture.data and not client.video:
                 client.flow.offer(self._picture_count, picture)
         if self._video:
             self._video.offer(self._picture_count, picture)
+        self._tell_robot()
 
     def _run(self, coroutine: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         """Start a task, and keep it alive until it ends."""
@@ -180,8 +182,8 @@ class OperatorServer:
         elif isinstance(command, Drawn):
             client.drawn(command.sequence)
         elif isinstance(command, NeedKey):
-            if client.video:
-                client.video.lose_step()
+            if self._video and client.video:
+                self._video.failed(client.video)
         elif isinstance(command, Echo):
             client.offer_text('echo', text_message(
                 'echo', sent_ms=command.sent_ms, server_ms=1e3 * time()))
@@ -225,10 +227,17 @@ class OperatorServer:
 
     # All browsers.
 
+    def _tell_robot(self) -> None:
+        """Tell the robot what is wanted of it."""
+        # A recording goes on also when nobody is left.
+        is_recording = bool(self._recorder.name)
+        self._robot.watch(bool(self._browsers) or is_recording, is_recording or any(
+            not client.video for client in self._browsers) or bool(
+            self._video and self._video.needs_files))
+
     def _tell_all(self) -> None:
         """Tell everybody how things are."""
-        # A recording goes on also when nobody is left.
-        self._robot.watch(bool(self._browsers or self._recorder.name))
+        self._tell_robot()
         robot = asdict(self._robot.state)
         for client in self._browsers:
             rate_hz, latency_s = client.rate_and_latency()

@@ -10,7 +10,7 @@
 Videos of the camera, shared by browsers that can take the same.
 
 There are two rungs, pictures of full and of half width, each with an encoder in a thread of its
-own as long as a browser is on it.
+own as long as a browser is on it; above them the camera's own video, where it sends one.
 """
 
 import asyncio
@@ -20,6 +20,7 @@ from dataclasses import replace
 from time import monotonic
 
 from sph_stab_ros.images.codec import ImageError
+from sph_stab_ros.operator.camera_rung import CameraRung
 from sph_stab_ros.operator.flow import VideoFlow
 from sph_stab_ros.operator.h264 import H264Encoder, SOFTWARE
 from sph_stab_ros.operator.pairing import Picture
@@ -85,6 +86,9 @@ class Rung:
 
     def offer(self, sequence: int, picture: Picture) -> None:
         """Take in the camera's picture; it replaces one that has not been begun."""
+        if not picture.data:
+            # It will come with the next ones.
+            return
         if any(flow.is_ready for flow in self._flows):
             self._next = sequence, picture
             if self._work is None or self._work.done():
@@ -137,9 +141,10 @@ class Rung:
 
 
 class Video:
-    """Has two rungs and moves browsers to that which they can take; arguments as of a Rung."""
+    """Has three rungs and moves browsers to that which they can take; arguments as of a Rung."""
 
     def __init__(self, warn: Callable[[str, str], object], encoder_name: str = SOFTWARE) -> None:
+        self._camera = CameraRung()
         self._full = Rung(1, MIN_FULL_BIT_RATE, warn, encoder_name)
         self._half = Rung(2, MIN_BIT_RATE, warn, encoder_name)
         self._flows: list[VideoFlow] = []
@@ -152,19 +157,39 @@ class Video:
     def remove(self, flow: VideoFlow) -> None:
         """Do so no longer."""
         self._flows.remove(flow)
-        (self._full if flow in self._full else self._half).remove(flow)
+        self._rung_of(flow).remove(flow)
+
+    @property
+    def needs_files(self) -> bool:
+        """Tell whether anybody gets more than what the camera encodes itself."""
+        return any(flow not in self._camera for flow in self._flows)
+
+    def failed(self, flow: VideoFlow) -> None:
+        """Note that a browser lacks a picture, or could not decode one."""
+        flow.takes_camera = flow.takes_camera and flow not in self._camera
+        flow.lose_step()
 
     def offer(self, sequence: int, picture: Picture) -> None:
         """Take in the camera's picture."""
+        self._camera.look(picture)
         for flow in self._flows:
-            if flow in self._full and flow.rate.bit_rate < MIN_FULL_BIT_RATE:
-                self._full.remove(flow)
-                self._half.add(flow)
-            elif flow in self._half and flow.rate.bit_rate > UP_BIT_RATE:
-                self._half.remove(flow)
-                self._full.add(flow)
-        self._full.offer(sequence, picture)
-        self._half.offer(sequence, picture)
+            rung, best = self._rung_of(flow), self._best_for(flow)
+            if rung is not best:
+                rung.remove(flow)
+                best.add(flow)
+        for rung in (self._camera, self._full, self._half):
+            rung.offer(sequence, picture)
+
+    def _rung_of(self, flow: VideoFlow) -> CameraRung | Rung:
+        """Return the rung that a browser is on."""
+        return next(rung for rung in (self._camera, self._full, self._half) if flow in rung)
+
+    def _best_for(self, flow: VideoFlow) -> CameraRung | Rung:
+        """Return the rung that it should be on."""
+        if self._camera.suits(flow):
+            return self._camera
+        least = UP_BIT_RATE if flow in self._half else MIN_FULL_BIT_RATE
+        return self._full if flow.rate.bit_rate >= least else self._half
 
     def close(self) -> None:
         """End."""

@@ -17,7 +17,6 @@ from struct import unpack_from
 import subprocess
 import sys
 from time import monotonic
-from unittest import mock
 
 import cv2
 import numpy as np
@@ -32,7 +31,6 @@ pytest.importorskip('rclpy', reason='rclpy is not installed')
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from node_harness import DOMAINS, pixels, rotation, stabilizer, stamp_ns  # noqa: E402, I100
 from sensor_msgs.msg import CompressedImage  # noqa: E402
-from sph_stab_ros.operator.robot import Robot  # noqa: E402
 
 TIMEOUT_S = 30.
 RESEND_S = 0.5
@@ -47,14 +45,14 @@ def operator(*arguments, domain=None):
 
 
 @asynccontextmanager
-async def connection(url):
+async def connection(url, query=''):
     """Open a WebSocket as the page does."""
     async with aiohttp.ClientSession() as session, session.ws_connect(
-            url + 'socket', headers={'Origin': url.rstrip('/')}) as browser:
+            f'{url}socket{query}', headers={'Origin': url.rstrip('/')}) as browser:
         yield browser
 
 
-def received_pictures(url, count, send):
+def received_pictures(url, count, send, query=''):
     """
     Return the headers and files of ``count`` pictures.
 
@@ -63,7 +61,7 @@ def received_pictures(url, count, send):
     """
     async def receive():
         pictures, sent_s = [], 0.
-        async with connection(url) as browser:
+        async with connection(url, query) as browser:
             async for message in browser:
                 if message.type is aiohttp.WSMsgType.BINARY:
                     length, = unpack_from('<I', message.data)
@@ -179,13 +177,40 @@ async def answer_to(url, command):
                 await browser.send_str(json.dumps({'type': command}))
 
 
-def test_a_camera_of_compressed_video_is_told_how_it_can_be_shown():
-    """The page draws JPEG and PNG."""
-    robot = mock.Mock()
-    Robot._encode(robot, CompressedImage(format='h264', data=b'\0\0\0\1'), 0.)
-    robot._pairing.add_picture.assert_not_called()
-    (_, text), _ = robot._log.warn.call_args
-    assert text.endswith('--pictures stabilizer')
+@pytest.mark.parametrize('query', ['', '?video=h264'], ids=['files', 'video'])
+def test_a_camera_of_video_is_seen(tmp_path, query):
+    """As files, and by who takes video as what the camera sends, in the end."""
+    encoded_video = pytest.importorskip('encoded_video')
+    packets = encoded_video.encode(turning_spheres(24)[0], 'h264')
+    domain, sent = next(DOMAINS), {}
+    with stabilizer(tmp_path, domain=domain, compressed=True) as peer:
+        def send():
+            n = len(sent)
+            msg = CompressedImage(format='h264')
+            msg.data.frombytes(packets[n % len(packets)][1])
+            sent[int(stamps_ns[n])] = packets[n % len(packets)][1]
+            peer.send(msg, stamps_ns[n])
+            peer.spin_for(0.05)
+
+        stamps_ns = stamps_of(1000)
+        server = operator('--port', '0', domain=domain)
+        try:
+            got = received_pictures(
+                server.stdout.readline().split()[-1], 60, send, query)
+            # The other subscriber's may come later than the server's.
+            peer.wait_until(lambda: {int(header['stamp_ns']) for header, _ in got}
+                            <= {stamp_ns(msg) for msg in peer.received['orientation']})
+        finally:
+            server.send_signal(signal.SIGINT)
+            assert server.wait(TIMEOUT_S) == 0
+        orientations = {stamp_ns(msg): rotation(msg) for msg in peer.received['orientation']}
+    for header, data in got:
+        time_ns = int(header['stamp_ns'])
+        assert angle_deg(Rotation.from_quat(header['orientation']['R_world_camera']),
+                         orientations[time_ns]) < 1e-6
+        assert (data == sent[time_ns]) == bool(header['codec'])
+        assert bool(header['chunk']) == bool(query)
+    assert bool(got[-1][0]['codec']) == bool(query)
 
 
 def test_parameters_that_are_the_stabilizer_s_are_told_of():

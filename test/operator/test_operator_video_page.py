@@ -9,6 +9,7 @@
 """The operator's video in a browser: which picture is shown, how it looks, and what goes wrong."""
 
 import base64
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -21,10 +22,12 @@ from sph_stab_ros.geometry.warp import rotate_equirect, view_rotation
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 pytest.importorskip('av', reason='PyAV is not installed')
-from operator_harness import wait_until  # noqa: E402, I100
+from encoded_video import encode, message  # noqa: E402, I100
+from operator_harness import wait_until  # noqa: E402
 from operator_served import Served  # noqa: E402
 from operator_site import IDENTITY  # noqa: E402
 from sph_stab_ros.operator import rate_control  # noqa: E402
+from sph_stab_ros.operator.camera_pictures import Packets  # noqa: E402
 from sph_stab_ros.operator.pairing import Orientation, Picture  # noqa: E402
 from sph_stab_ros.operator.video import Video  # noqa: E402
 from sph_stab_ros.recording import decoded_frames, open_recording  # noqa: E402
@@ -104,6 +107,38 @@ def test_every_picture_is_drawn_with_its_own_stamp_and_orientation(opened, query
         assert figure(page, 'what') == ('JPEG' if query else 'H.264') + ', 512×256'
     numbers = [number for number, *_ in drawn]
     assert numbers == sorted(set(numbers))
+    for number, *rgb in drawn:
+        np.testing.assert_allclose(rgb, level(number), atol=6)
+
+
+class Passed(Filmed):
+    """Serves the film as the video of a camera, in its usual range of values, and as files."""
+
+    def __init__(self):
+        images = [cv2.imdecode(np.frombuffer(file, np.uint8), cv2.IMREAD_COLOR)
+                  for file in spheres()]
+        packets = encode(images, 'h264', LEVELS)
+        super().__init__([cv2.imencode('.jpg', image)[1].tobytes() for image in images])
+        self._packets, self._stream = packets, Packets()
+
+    def picture(self, now_s):
+        """Return the next picture, with the packet that it is in the camera's video."""
+        picture = super().picture(now_s)
+        packet = self._stream.add(message(self._packets[self.number % LEVELS][1]))
+        return replace(picture, packet=packet)
+
+
+def test_a_camera_s_own_video_is_drawn_as_it_is(opened):
+    """With its own stamp and orientation, and in its own colours."""
+    with Passed() as served:
+        page = opened(served.url)
+        wait_until(lambda: served.robot and served.robot.needs_files is False, page.situation)
+        page.wait_for_situation('stabilized')
+        page.page.evaluate(PROBE)
+        wait_until(lambda: page.page.evaluate('window.drawn.length') > 40, page.situation)
+        drawn = page.page.evaluate('window.drawn')
+        assert served.robot.needs_files is False
+        assert figure(page, 'what') == 'H.264, 512×256'
     for number, *rgb in drawn:
         np.testing.assert_allclose(rgb, level(number), atol=6)
 

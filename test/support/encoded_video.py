@@ -47,7 +47,7 @@ PERIOD_NS = 33_333_333
 DECODERS = {'h264': 'h264', 'h265': 'hevc', 'av1': 'libdav1d'}
 
 
-def encode(images, name, key_period=KEY_PERIOD):
+def encode(images, name, key_period=KEY_PERIOD, pixel_format='yuv420p'):
     """Return (index of the picture, packet) of a stream, in the order of decoding."""
     encoder, options = STREAMS[name]
     try:
@@ -55,7 +55,7 @@ def encode(images, name, key_period=KEY_PERIOD):
     except ValueError:
         pytest.skip(f'this PyAV has no {encoder}')
     context.height, context.width = images[0].shape[:2]
-    context.pix_fmt, context.gop_size = 'yuv420p', key_period
+    context.pix_fmt, context.gop_size = pixel_format, key_period
     context.time_base, context.framerate = Fraction(1, 30), Fraction(30)
     context.options = options
     packets = []

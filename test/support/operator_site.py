@@ -73,14 +73,14 @@ class StrawRobot:
     state = StrawState()
 
     def __init__(self):
-        self.watched = None
+        self.watched = self.needs_files = None
         self.looks = []
         self.watchers = []
         self.levelling = asyncio.Event()
 
-    def watch(self, watched):
+    def watch(self, watched, needs_files):
         """Note whether somebody looks."""
-        self.watched = watched
+        self.watched, self.needs_files = watched, needs_files
 
     def report(self, watchers):
         """Note who watches."""
@@ -124,7 +124,8 @@ class Browser:
                 values = json.loads(message.data)
             else:
                 length, = unpack_from('<I', message.data)
-                values = {'type': 'picture', **json.loads(message.data[4:4 + length])}
+                values = {'type': 'picture', 'data': message.data[4 + length:],
+                          **json.loads(message.data[4:4 + length])}
             if values['type'] == kind and condition(values):
                 return values
 

@@ -47,7 +47,9 @@ async function planesOf(file, maxColumns) {
 export async function imageOf(frame, maxColumns) {
   try {
     if (frame.displayWidth > maxColumns) return await reduced(frame, maxColumns);
-    return frame.format in CHROMA ? await copied(frame) : await createImageBitmap(frame);
+    // Renderers take planes for JPEG's, of full range; those of a camera's video often are not.
+    const isLikeJpeg = frame.format in CHROMA && frame.colorSpace.fullRange !== false;
+    return isLikeJpeg ? await copied(frame) : await createImageBitmap(frame);
   } finally {
     frame.close();
   }

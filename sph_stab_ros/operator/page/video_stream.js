@@ -18,18 +18,19 @@ export class VideoStream {
   // handlers: picture({...header, image}), skipped(sequence), failed() where pictures are lost so
   // that a key picture has to come, and maxColumns(), that an image may have.
   constructor(handlers) {
-    Object.assign(this, {handlers, headers: new Map(), decoder: null, frame: null, busy: false});
+    Object.assign(this, {
+      handlers, headers: new Map(), decoder: null, codec: '', frame: null, busy: false});
   }
 
   // Takes the next part of the video.
   take(header, data) {
-    if (header.chunk === 'key') this.#open();
-    if (!this.decoder) {
-      this.handlers.skipped(header.sequence);
-      return;
-    }
-    this.headers.set(header.sequence, header);
     try {
+      if (header.chunk === 'key') this.#configure(header.codec || CONFIG.codec);
+      if (!this.decoder) {
+        this.handlers.skipped(header.sequence);
+        return;
+      }
+      this.headers.set(header.sequence, header);
       this.decoder.decode(new EncodedVideoChunk(
         {type: header.chunk, timestamp: header.sequence, data}));
     } catch {
@@ -41,17 +42,22 @@ export class VideoStream {
     if (this.decoder?.state !== 'closed') this.decoder?.close();
     this.frame?.close();
     this.decoder = this.frame = null;
+    this.codec = '';
     this.headers.clear();
   }
 
-  // A decoder that is there goes on with key pictures, of other sizes too.
-  #open() {
-    if (this.decoder) return;
-    const decoder = this.decoder = new VideoDecoder({
-      output: frame => decoder === this.decoder ? this.#output(frame) : frame.close(),
-      error: () => { if (decoder === this.decoder) this.#fail(); },
-    });
-    decoder.configure(CONFIG);
+  // A decoder that is there goes on with key pictures, of other sizes too; a camera's own video is
+  // of another codec than the server's.
+  #configure(codec) {
+    if (codec === this.codec) return;
+    if (!this.decoder) {
+      const decoder = this.decoder = new VideoDecoder({
+        output: frame => decoder === this.decoder ? this.#output(frame) : frame.close(),
+        error: () => { if (decoder === this.decoder) this.#fail(); },
+      });
+    }
+    this.codec = codec;
+    this.decoder.configure({...CONFIG, codec});
   }
 
   #fail() {
