@@ -134,7 +134,8 @@ class VideoFlow:
             self.rate.stalled()
         elif picture.chunk == 'key':
             self._in_step = True
-            self._key_s = self._clock()
+            # The camera's cost no other browser anything.
+            self._key_s = self._key_s if picture.codec else self._clock()
         if self._in_step:
             self._waiting = sequence, picture
             self._wake()

@@ -40,7 +40,7 @@ class Camera:
 
     def __init__(self, site, packets, codec='h264'):
         loop = asyncio.get_running_loop()
-        self._site, self._packets, self._codec = site, packets, codec
+        self._site, self.packets, self._codec = site, packets, codec
         self._pairing = Pairing(lambda one: loop.call_soon_threadsafe(self._show, one))
         self._pictures = CameraPictures(self._taken, self._refused, False)
         self._done = 0
@@ -62,7 +62,7 @@ class Camera:
 
     def data(self, number):
         """Return the packet with a number."""
-        return self._packets[number % len(self._packets)][1]
+        return self.packets[number % len(self.packets)][1]
 
     async def film(self, until, waits=True):
         """Send pictures, each when the one before is done, until a condition holds."""
@@ -70,8 +70,8 @@ class Camera:
         while not until():
             assert asyncio.get_running_loop().time() < end_s, 'waited in vain'
             self._pictures.needs_files = self._site.robot.needs_files
-            at = self.number % len(self._packets)
-            index, data = self._packets[at]
+            at = self.number % len(self.packets)
+            index, data = self.packets[at]
             # Pictures may be sent in another order than that of their times.
             number = self.number - at + index
             msg = message(data, self._codec)
@@ -152,7 +152,8 @@ class Watching:
 
     async def _draw(self):
         while True:
-            self.got.append(await self._browser.receive('picture'))
+            header = await self._browser.receive('picture')
+            self.got.append({**header, 'data': self._browser.data})
             if self.draws:
                 await self.draw()
 
@@ -280,6 +281,26 @@ async def test_a_browser_that_cannot_decode_it_is_not_given_it_again(site, camer
     await camera.film(lambda: camera.number > begin + 4 * KEY_PERIOD and len(watching.got) > had)
     later = [one for one in watching.got if number_of(one) > begin]
     assert later and not any(one['codec'] for one in later)
+
+
+@with_camera()
+async def test_damage_ends_nothing(site, camera):
+    """What comes meanwhile may show it, where a decoder does not notice; no thread ends by it."""
+    watching, rng = await camera.watch(), np.random.default_rng(0)
+    whole = camera.packets
+    camera.packets = [(index, damaged(data, rng)) for index, data in whole]
+    begin = camera.number
+    await camera.film(lambda: camera.number == begin + 2 * COUNT, waits=False)
+    camera.packets = whole
+    await camera.film(watching.gets(1))
+
+
+def damaged(data, rng):
+    """Return a packet with other bytes somewhere, or without its end, or none of it."""
+    data = bytearray(data)
+    for place in rng.integers(0, min(len(data), 60), 4):
+        data[place] = rng.integers(0, 256)
+    return bytes(data[:rng.integers(0, len(data) + 1)] if rng.random() < 0.3 else data)
 
 
 def of_format(pixel_format):

@@ -110,10 +110,10 @@ def frame(opcode, payload=b'', final=True):
 
 
 class Browser:
-    """The other end of a WebSocket, as the page is."""
+    """The other end of a WebSocket, as the page is; ``data`` is that of the last picture."""
 
     def __init__(self, socket):
-        self.socket = socket
+        self.socket, self.data = socket, b''
 
     async def receive(self, kind, condition=lambda message: True):
         """Return the next message of a kind, a dict, that meets a condition; skip others."""
@@ -124,8 +124,8 @@ class Browser:
                 values = json.loads(message.data)
             else:
                 length, = unpack_from('<I', message.data)
-                values = {'type': 'picture', 'data': message.data[4 + length:],
-                          **json.loads(message.data[4:4 + length])}
+                self.data = message.data[4 + length:]
+                values = {'type': 'picture', **json.loads(message.data[4:4 + length])}
             if values['type'] == kind and condition(values):
                 return values
 

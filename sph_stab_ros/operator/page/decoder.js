@@ -47,12 +47,19 @@ async function planesOf(file, maxColumns) {
 export async function imageOf(frame, maxColumns) {
   try {
     if (frame.displayWidth > maxColumns) return await reduced(frame, maxColumns);
-    // Renderers take planes for JPEG's, of full range; those of a camera's video often are not.
-    const isLikeJpeg = frame.format in CHROMA && frame.colorSpace.fullRange !== false;
-    return isLikeJpeg ? await copied(frame) : await createImageBitmap(frame);
+    return frame.format in CHROMA ? await copied(frame) : await createImageBitmap(frame);
   } finally {
     frame.close();
   }
+}
+
+// Of limited range, which a camera's video often has, into full, which JPEG has.
+const LUMA = Uint8ClampedArray.from({length: 256}, (_, value) => (value - 16) * 255 / 219);
+const COLOUR = Uint8ClampedArray.from({length: 256}, (_, value) => 128 + (value - 128) * 255 / 224);
+
+function stretch({data}, index) {
+  const levels = index ? COLOUR : LUMA;
+  for (let n = 0; n < data.length; n++) data[n] = levels[data[n]];
 }
 
 // Of pictures that were closed; fresh memory for each takes longer than to copy it.
@@ -65,10 +72,11 @@ async function copied(image) {
   if (buffer?.length !== size) buffer = new Uint8Array(size);
   const layout = await image.copyTo(buffer);
   const planes = layout.map(({offset, stride}, i) => ({
-    data: buffer.subarray(offset), stride,
+    data: buffer.subarray(offset, layout[i + 1]?.offset), stride,
     width: i ? Math.ceil(width / CHROMA[format][0]) : width,
     height: i ? Math.ceil(height / CHROMA[format][1]) : height,
   }));
+  if (image.colorSpace.fullRange === false) planes.forEach(stretch);
   return {width, height, planes, close: () => spare.push(buffer)};
 }
 
