@@ -38,12 +38,13 @@ from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.parameters import (
     add_parameters, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending
-from sph_stab_ros.config import AUTO, NodeConfig, Settings
+from sph_stab_ros.config import AUTO, EQUIRECT, NodeConfig, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.images.picture_watch import PictureWatch
-from sph_stab_ros.images.sphere import as_sphere
+from sph_stab_ros.images.sphere import stitched
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
@@ -188,10 +189,14 @@ def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
 def frame_messages(recording: Recording, images_type: type[Any], config: NodeConfig
                    ) -> TimedMessages:
     """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
+    is_left_to_metadata = config.projection == EQUIRECT and config.layout == AUTO
     for frame in recording.frames():
-        if config.layout == AUTO:
+        if is_left_to_metadata and (frame.layout or frame.refusal):
             # What a video's metadata say has no place in a message.
-            frame = as_sphere(frame, config)
+            try:
+                frame = stitched(frame, config)
+            except ProjectionError as error:
+                raise RecordingError(f'{recording.name}: {error}') from None
         msg = (fill_image(Image(), frame.image) if images_type is Image
                else fill_compressed(CompressedImage(), frame.image, config.jpeg_quality))
         msg.header.stamp = time_message(frame.stamp_ns)

@@ -116,7 +116,8 @@ def test_offline_what_is_left_out_is_told_once(turning, tmp_path, capsys, caplog
     call(bag, '--offline', '--smoothing', 'follow', '--trajectory', tmp_path / 'out.tum')
     assert [record.getMessage() for record in caplog.records] == [
         'bag: picture left out, not 2:1: an equirectangular image is twice as wide as high, '
-        'this is 256x50 (more of these are only counted)']
+        'this is 256x50; -p projection:=... says what else it shows (more of these are only '
+        'counted)']
     assert '12 ok' in capsys.readouterr().out
 
 

@@ -86,7 +86,7 @@ def _projection(size_wh: tuple[int, int], config: StabilizerConfig) -> Projectio
         return found
     if not is_equirect((height, width)):
         raise ProjectionError('not 2:1', 'an equirectangular image is twice as wide as high, this '
-                              f'is {width}x{height}')
+                              f'is {width}x{height}; -p projection:=... says what else it shows')
     return Equirect(width)
 
 

@@ -23,7 +23,7 @@ from sph_stab_ros.images.video.picture import side_data_of, tagged_colour, Video
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.picture_times import with_times, within
 from sph_stab_ros.recording.pyav import av
-from sph_stab_ros.recording.spherical import boxes_say, layout_of
+from sph_stab_ros.recording.spherical import boxes_say, InBoxes, layout_of
 from sph_stab_ros.recording.telemetry import read_telemetry, stabilized_by, Telemetry
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 from sph_stab_ros.recording.video_stream import PictureStream, Stamped
@@ -49,10 +49,7 @@ class VideoRecording:
         self.sound_path: Path | None = path
         self.name = path.name
         self._stretch = stretch
-        self._cropped, unread = boxes_say(path)
-        if unread:
-            raise RecordingError(
-                f'{path}: its metadata say that the pictures are {unread}, which is not read')
+        self._in_boxes = boxes_say(path)
         self._skip_log = SkipLog(self.name)
         with self._open() as container:
             pictures = PictureStream(container, self.name, self._skip_log)
@@ -116,11 +113,13 @@ class VideoRecording:
         colour = tagged_colour(picture, stream.codec_context)
         source = VideoPicture(picture, colour, stream.sample_aspect_ratio,
                               side_data.get('DISPLAYMATRIX'))
+        layout = refusal = None
         try:
-            layout = layout_of(side_data, source.size_wh, self._cropped)
+            layout = layout_of(side_data, source.size_wh, self._in_boxes)
         except RecordingError as error:
-            raise RecordingError(f'{self.name}: {error}') from None
-        return Frame(source, times.stamp_ns, times=times, layout=layout, colour=colour)
+            refusal = RecordingError(f'{self.name}: {error}')
+        return Frame(source, times.stamp_ns, times=times, layout=layout, colour=colour,
+                     refusal=refusal)
 
     def _say_what_is_assumed(self, pictures: PictureStream) -> None:
         rate = float(pictures.rate)
@@ -161,7 +160,7 @@ class PipedVideo(VideoRecording):
         self.name = 'standard input'
         self.path, self.sound_path = Path('pipe:0'), None
         self._stretch = stretch
-        self._cropped = None
+        self._in_boxes = InBoxes()
         self._skip_log = SkipLog(self.name)
         self._is_read = False
 

@@ -114,7 +114,14 @@ def sphere_box(left=0., top=0., right=0., bottom=0., projection=b'equi'):
         b'proj', packed(b'prhd', bytes(16)) + packed(projection, bytes(4) + bounds)))
 
 
-def xml_metadata(stereo='mono', extra=''):
+def cube_box(layout=0, padding=0):
+    """Return a box sv3d of pictures of six faces of a cube."""
+    return packed(b'sv3d', packed(b'svhd', bytes(4) + b'a camera\0') + packed(
+        b'proj', packed(b'prhd', bytes(16)) + packed(
+            b'cbmp', pack('>3I', 0, layout, padding))))
+
+
+def xml_metadata(stereo='mono', extra='', projection='equirectangular'):
     """Return metadata of version 1 as a camera writes them."""
     return (
         '<?xml version="1.0"?><rdf:SphericalVideo '
@@ -123,7 +130,7 @@ def xml_metadata(stereo='mono', extra=''):
         '<GSpherical:Spherical>true</GSpherical:Spherical>'
         '<GSpherical:Stitched>true</GSpherical:Stitched>'
         '<GSpherical:StitchingSoftware>a camera</GSpherical:StitchingSoftware>'
-        '<GSpherical:ProjectionType>equirectangular</GSpherical:ProjectionType>'
+        f'<GSpherical:ProjectionType>{projection}</GSpherical:ProjectionType>'
         f'<GSpherical:StereoMode>{stereo}</GSpherical:StereoMode>{extra}'
         '</rdf:SphericalVideo>').encode()
 
