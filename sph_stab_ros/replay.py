@@ -12,6 +12,7 @@ from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+import os
 from pathlib import Path
 import re
 import sys
@@ -203,12 +204,14 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     check_film(parser, args, args.out is not None and bool(args.out.suffix),
                'an .mp4 or .mov as OUT')
     check_stretch(parser, args)
-    if args.offline and args.recording == STANDARD_INPUT:
+    if args.offline and (args.recording == STANDARD_INPUT or args.recording.is_fifo()):
         parser.error('--offline reads twice, which a pipe cannot be')
-    paths = [path.resolve() for path in (
-        args.recording, args.out, args.trajectory, args.report) if path]
-    if len(set(paths)) < len(paths):
+    recording, *outputs = (Path(os.path.realpath(path)) for path in (
+        args.recording, args.out, args.trajectory, args.report) if path)
+    if len({recording, *outputs}) <= len(outputs):
         parser.error('IN, OUT, --trajectory and --report must be different files')
+    if any(output in recording.parents for output in outputs):
+        parser.error('IN must not be in the folder OUT, which is replaced as a whole')
     return args, given_settings(parser, args)
 
 

@@ -318,6 +318,7 @@ def test_pictures_that_are_too_small_are_no_recording():
     ('{bag}', '{new}', '--side-by-side'), ('{bag}', '{new}', '--view', '0,0,0'),
     ('{bag}', '{new}', '--view', '0,0,0,400'), ('{bag}', '{new}', '--view', 'a,b,c,d'),
     ('{bag}', '--max-frames', '0'), ('{bag}', '--max-frames', 'x'), ('{bag}', '{bag}', '--force'),
+    ('{bag}', '{bag}/..', '--force'), ('{bag}', '--trajectory', '{bag}/..', '--force'),
     ('{bag}', '--smoothing', 'magic'), ('{bag}', '--smoothing', 'follow:fast'),
     ('{bag}', '--smoothing', 'follow:0'),
     ('{bag}', '--estimator', 'magic'), ('{bag}', '--flow', 'magic'), ('{bag}', '--no-such-option'),
