@@ -27,7 +27,8 @@ def open_recording(path: str | Path, image_topic: str | None = None, start_s: fl
     ----------
     path
         A rosbag2 folder, an MCAP or SQLite file, a ROS 1 bag, or else a video file; what it is
-        is told by its content, not by its name. ``-`` is a video through standard input, once.
+        is told by its content, not by its name. ``-`` is a video through standard input, once, as
+        a pipe at a path is one.
     image_topic
         Where to find the images in a bag that has several image topics.
     start_s, end_s
@@ -37,11 +38,11 @@ def open_recording(path: str | Path, image_topic: str | None = None, start_s: fl
     """
     stretch = Stretch(start_s, end_s)
     path = Path(path)
-    if path == STANDARD_INPUT and image_topic is None:
-        from sph_stab_ros.recording.video import PipedVideo
-        return PipedVideo(stretch)
-    if not path.exists():
+    if path != STANDARD_INPUT and not path.exists():
         raise RecordingError(f'{path} does not exist')
+    if not (path.is_file() or path.is_dir()) and image_topic is None:
+        from sph_stab_ros.recording.video import PipedVideo
+        return PipedVideo(None if path == STANDARD_INPUT else path, stretch)
     # Either library is imported only for its own kind of file.
     from sph_stab_ros.recording.containers import is_bag
     if is_bag(path):

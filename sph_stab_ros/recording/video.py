@@ -22,7 +22,7 @@ from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.images.video.picture import side_data_of, tagged_colour, VideoPicture
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.picture_times import with_times, within
-from sph_stab_ros.recording.pyav import av
+from sph_stab_ros.recording.pyav import av, url_of
 from sph_stab_ros.recording.spherical import boxes_say, InBoxes, layout_of
 from sph_stab_ros.recording.telemetry import read_telemetry, stabilized_by, Telemetry
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
@@ -45,6 +45,7 @@ class VideoRecording:
         self.topics: dict[str, str] = {}
         self.image_topic: str | None = None
         self.path = path
+        self._url = url_of(path)
         # Where the sound is that belongs to the pictures.
         self.sound_path: Path | None = path
         self.name = path.name
@@ -131,7 +132,7 @@ class VideoRecording:
 
     def _open(self) -> 'av.container.InputContainer':
         try:
-            container = av.open(str(self.path), metadata_errors='replace')
+            container = av.open(self._url, metadata_errors='replace')
         except OSError as error:
             raise RecordingError(f'{self.path} cannot be read: {error.strerror}') from None
         except av.FFmpegError as error:
@@ -149,16 +150,16 @@ class VideoRecording:
 
 class PipedVideo(VideoRecording):
     """
-    A video that comes through standard input, which can be read once.
+    A video that comes through standard input, or through a pipe at a path, and is read once.
 
     Most MP4 files cannot, since what is in them stands at their ends. Of the sphere it is known
     what is said with the pictures themselves; sound is left out.
     """
 
-    def __init__(self, stretch: Stretch = Stretch()) -> None:
+    def __init__(self, path: Path | None = None, stretch: Stretch = Stretch()) -> None:
         self.topics, self.image_topic, self.frame_count = {}, None, None
-        self.name = 'standard input'
-        self.path, self.sound_path = Path('pipe:0'), None
+        self.path, self.sound_path = path or Path('standard input'), None
+        self.name, self._url = self.path.name, url_of(path) if path else 'pipe:0'
         self._stretch = stretch
         self._in_boxes = InBoxes()
         self._skip_log = SkipLog(self.name)

@@ -13,6 +13,7 @@ import os
 import struct
 import subprocess
 import sys
+from threading import Thread
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ import pytest
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera, zenith_correction_applied
 from sph_stab_ros.recording.video_writer import VideoWriter
+from sph_stab_ros.replay import main as replay
 from tiny_recordings import PERIOD_NS, stamps_of, START_NS, textured_sphere, write_video
 
 av = pytest.importorskip('av')
@@ -244,6 +246,29 @@ def test_damaged_metadata_say_nothing(tmp_path):
         assert tilt_removed_in_camera(path) in (False, True)
         path.write_bytes(rng.bytes(100))
         assert not tilt_removed_in_camera(path)
+
+
+def test_a_pipe_at_a_path_is_read_once(tmp_path, turning):
+    """As a shell makes one of <(...)."""
+    data = encode(tmp_path / 'ride.mkv', turning[0]).read_bytes()
+    pipe = tmp_path / 'pipe'
+    os.mkfifo(pipe)
+    writer = Thread(target=pipe.write_bytes, args=(data,))
+    writer.start()
+    recording = open_recording(pipe)
+    assert len(list(recording.frames())) == len(turning[0])
+    writer.join()
+    with pytest.raises(RecordingError, match='pipe can be read only once'):
+        next(recording.frames())
+
+
+@pytest.mark.parametrize('name', ['2026-01-02T03:04:05.mp4', 'file:a.mp4', 'sp ace %04d.mp4'])
+def test_any_name_of_a_file_will_do(tmp_path, monkeypatch, turning, name):
+    """FFmpeg takes what stands before a colon for a protocol."""
+    monkeypatch.chdir(tmp_path)
+    assert replay([str(encode('ride.mkv', turning[0])), name, '--max-frames', '5']) == 0
+    assert len(list(open_recording(name).frames())) == 5
+    assert replay([name, 'copy:of.mp4']) == 0
 
 
 def test_a_video_through_a_pipe_is_that_of_the_file(tmp_path, turning):
