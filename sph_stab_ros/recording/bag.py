@@ -61,11 +61,11 @@ class BagRecording:
         self._containers = Containers(path)
         counts: Counter[str] = Counter()
         self.topics: dict[str, str] = {}
-        for channel, count in self._containers.channels.items():
-            # A damaged definition may contradict a whole one.
-            if channel.topic not in self.topics or is_known(channel.msgtype, channel.encoding):
-                self.topics[channel.topic] = channel.msgtype
-            counts[channel.topic] += count
+        # Of a topic of several types it is that of images; a definition may be damaged, too.
+        for channel in sorted(self._containers.channels, key=lambda one: (
+                one.msgtype in IMAGE_TYPES, is_known(one.msgtype, one.encoding))):
+            self.topics[channel.topic] = channel.msgtype
+            counts[channel.topic] += self._containers.channels[channel]
         if not self.topics:
             raise RecordingError(f'{path} is not a readable bag: it holds no messages; damaged, '
                                  'encrypted or something else')
