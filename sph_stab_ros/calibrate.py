@@ -26,7 +26,7 @@ from sph_stab_ros.calibration.dual_fisheye import (
     calibrate, Calibration, CalibrationError, for_size)
 from sph_stab_ros.calibration.file import calibration_text
 from sph_stab_ros.command_line import (
-    add_recording, check_stretch, frames_to_read, open_given, Parser, run)
+    add_recording, check_stretch, frames_to_read, one_line, open_given, Parser, run)
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, given_parameters, settings_from)
 from sph_stab_ros.config import FisheyeConfig, Settings
@@ -114,7 +114,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 raise RecordingError(f'{recording.name}: {error}') from error
             lines = list(report(recording, greys, calibration))
             path.write_text(calibration_text(calibration.config, ''.join(
-                f'# {line}\n' for line in ('Written by calibrate.', *lines))))
+                f'# {line}\n' for line in ('Written by calibrate.', *map(one_line, lines)))),
+                'utf-8')
         for line in lines:
             print(line)
 

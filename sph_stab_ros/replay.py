@@ -22,8 +22,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sph_stab_ros.command_line import (
-    add_imu_topic, add_recording, check_stretch, frames_to_read, given, is_cut, open_given, Parser,
-    run, told_once)
+    add_imu_topic, add_recording, check_stretch, frames_to_read, given, is_cut, one_line,
+    open_given, Parser, run, told_once)
 from sph_stab_ros.command_line.film import add_film, check_film, FILM_OPTIONS
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
@@ -235,7 +235,7 @@ def replay(args: Namespace, settings: Settings, progress: Progress, sinks: Seque
             args, settings, progress, [*sinks, log], True, known_tracker)
         flags = {f'--{name.replace("_", "-")}': value
                  for name, value in given(args, REPORTED_FLAGS).items()}
-        path.write_text(page(args.recording.name, log, lines, settings, flags))
+        path.write_text(page(one_line(args.recording.name), log, lines, settings, flags), 'utf-8')
     return summary, lines
 
 

@@ -11,6 +11,7 @@
 import argparse
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
 import logging
 import math
 import os
@@ -158,6 +159,9 @@ def run(name: str, command: Callable[[], object]) -> int:
     # SIGINT too: what a script starts in the background would ignore it.
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, signal.default_int_handler)
+    if isinstance(sys.stdout, TextIOWrapper):
+        # Whatever names hold, and whatever the locale: as it is with stderr.
+        sys.stdout.reconfigure(errors='backslashreplace')
     set_up_process()
     try:
         command()

@@ -155,7 +155,7 @@ def listed_parts(path: Path) -> list[Path]:
     # Damaged metadata are done without: in whatever way they are.
     with suppress(Exception), warnings.catch_warnings():
         warnings.simplefilter('ignore')
-        content = YAML(typ='safe').load(text.read_text())
+        content = YAML(typ='safe').load(text.read_text('utf-8'))
         names = content['rosbag2_bagfile_information']['relative_file_paths']
         files = [path / name for name in dict.fromkeys(PurePath(one).name for one in names)]
         if all(file.is_file() and kind_of(file) for file in files):
