@@ -84,6 +84,9 @@ def _projection(size_wh: tuple[int, int], config: StabilizerConfig) -> Projectio
             raise ProjectionError('not a cubemap', 'six square faces lie 3x2, 6x1, 1x6 or 4x3, '
                                   f'this is {width}x{height}')
         return found
+    if abs(width - 2 * height) == 1:
+        # As near as odd numbers of columns come.
+        return CroppedEquirect(size_wh)
     if not is_equirect((height, width)):
         raise ProjectionError('not 2:1', 'an equirectangular image is twice as wide as high, this '
                               f'is {width}x{height}; -p projection:=... says what else it shows')
