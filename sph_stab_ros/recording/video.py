@@ -24,11 +24,15 @@ from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.picture_times import with_times, within
 from sph_stab_ros.recording.pyav import av, url_of
 from sph_stab_ros.recording.spherical import boxes_say, InBoxes, layout_of
+from sph_stab_ros.recording.spherical_boxes import is_without_index
 from sph_stab_ros.recording.telemetry import read_telemetry, stabilized_by, Telemetry
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera
 from sph_stab_ros.recording.video_stream import PictureStream, Stamped
 
 logger = logging.getLogger(__name__)
+
+NO_INDEX = ('it was cut off before its index (moov) was written, which says where the pictures '
+            'are; tools such as untrunc make one after another video of the same camera')
 
 
 class VideoRecording:
@@ -136,8 +140,8 @@ class VideoRecording:
         except OSError as error:
             raise RecordingError(f'{self.path} cannot be read: {error.strerror}') from None
         except av.FFmpegError as error:
-            raise RecordingError(
-                f'{self.path} is not a readable video: {error.strerror}') from None
+            reason = (NO_INDEX if is_without_index(self.path) else error.strerror)
+            raise RecordingError(f'{self.path} is not a readable video: {reason}') from None
         if not container.streams.video:
             container.close()
             raise RecordingError(f'{self.path} has no video stream')

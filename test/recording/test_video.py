@@ -162,7 +162,10 @@ def test_a_truncated_video_whose_index_was_at_the_end_is_refused(tmp_path):
     """Such a file cannot be decoded at all."""
     path = encode(tmp_path / 'a.mp4', COUNT * [IMAGE])
     path.write_bytes(path.read_bytes()[:-2000])
-    with pytest.raises(RecordingError, match='not a readable video'):
+    with pytest.raises(RecordingError, match='not a readable video: it was cut off before its '):
+        open_recording(path)
+    path.write_bytes(bytes(8) + path.read_bytes())
+    with pytest.raises(RecordingError, match='not a readable video: Invalid data'):
         open_recording(path)
 
 
