@@ -34,6 +34,8 @@ __all__ = ['Channel', 'Containers', 'is_bag', 'Message']
 logger = logging.getLogger(__name__)
 
 METADATA = 'metadata.yaml'
+# Endings of files in which there is one each.
+PICTURES = ('.jpg', '.jpeg', '.png', '.tif', '.tiff', '.dng', '.webp', '.exr')
 # Of the longest one there may be, with the definitions of all its messages.
 MOST_METADATA_BYTES = 2**26
 
@@ -84,6 +86,8 @@ class Containers:
         """Return the parts of the bag in their order."""
         listed = listed_parts(path)
         files = listed or bag_files(path, self._damage)
+        if not files:
+            raise RecordingError(f'{path} is not a readable bag: {what_else(path)}')
         kinds = {kind for file in files if (kind := kind_of(file))}
         if len(kinds) > 1:
             raise RecordingError(f'{path} holds bags of several kinds, give one of them: '
@@ -144,6 +148,16 @@ def bag_files(path: Path, damage: list[str]) -> list[Path]:
     # Tools leave what they have unpacked beside what it was packed in.
     return [file for file in bags if file.suffix not in ('.zstd', '.zst') or
             file.stem not in names]
+
+
+def what_else(folder: Path) -> str:
+    """Return what a folder holds that holds no bag, in a line."""
+    names = sorted(one.name for one in folder.iterdir())
+    if not names:
+        return 'the folder is empty'
+    advice = ('make a video of the pictures first' if names[-1].lower().endswith(PICTURES)
+              else 'give what is to be read by its own name')
+    return f'of {len(names)} files in the folder, such as {names[-1]}, none is one: {advice}'
 
 
 def listed_parts(path: Path) -> list[Path]:
