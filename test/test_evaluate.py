@@ -204,7 +204,7 @@ def test_black_frames_are_counted_as_lost(tmp_path):
     (['--body', 'lat:-90,-60'], '--body needs --inject'),
     (['--every', '0'], '--every needs'),
     (['--every', 'nan'], '--every needs'),
-    (['--max-frames', '0'], 'at least 1'),
+    (['--max-frames', '0'], 'must lie within 1 and'),
     (['--mask', 'lat:5'], 'lat:FROM,TO'),
     (['--inject', '1', '-p', 'level:=imu'], 'add -p level:=first_frame'),
     (['-p', 'level:=moon'], '-p: level is one of first_frame, imu'),

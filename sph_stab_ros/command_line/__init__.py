@@ -23,6 +23,8 @@ from typing import Any, NoReturn
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 
+# Thirty years: libraries count finer units in 64 bits.
+MOST_SECONDS = 1e9
 # StsNoMem, the code of cv2.error.
 OPENCV_NO_MEMORY = -4
 
@@ -89,15 +91,16 @@ def frames_to_read(recording: Recording, max_frames: int | None) -> int | None:
 
 def _count(text: str) -> int:
     count = int(text)
-    if count < 1:
-        raise argparse.ArgumentTypeError('must be at least 1')
+    if not 1 <= count <= sys.maxsize:
+        raise argparse.ArgumentTypeError(f'must lie within 1 and {sys.maxsize}')
     return count
 
 
 def _seconds(text: str) -> float:
     seconds = float(text)
-    if not 0 <= seconds < math.inf:
-        raise argparse.ArgumentTypeError('must be a number of seconds, 0 or more')
+    if not 0 <= seconds <= MOST_SECONDS:
+        raise argparse.ArgumentTypeError(
+            f'must be a number of seconds, within 0 and {MOST_SECONDS:g}')
     return seconds
 
 
