@@ -10,7 +10,7 @@
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 import logging
 import math
@@ -156,6 +156,10 @@ def run(name: str, command: Callable[[], object]) -> int:
 
     Warnings of the library go to stderr. SIGTERM ends the command as Ctrl-C does.
     """
+    for stream in ('stdout', 'stderr'):
+        # Closed by whoever started us.
+        if getattr(sys, stream) is None:
+            setattr(sys, stream, open(os.devnull, 'w'))
     handler = logging.StreamHandler()
     handler.setFormatter(OneLine(f'{name}: %(message)s'))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
@@ -168,15 +172,20 @@ def run(name: str, command: Callable[[], object]) -> int:
     set_up_process()
     try:
         command()
+        sys.stdout.flush()
     except RecordingError as error:
         print(f'{name}: {one_line(error)}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f'{name}: interrupted', file=sys.stderr)
         return 1
-    except BrokenPipeError:
-        # Whoever read the output has seen enough; Python must not flush the rest either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        # Whoever has read the beginning may have seen enough.
+        if not isinstance(error, BrokenPipeError):
+            print(f'{name}: {one_line(error)}', file=sys.stderr)
+        # Python must not flush the rest either.
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
         if not is_out_of_memory(error):

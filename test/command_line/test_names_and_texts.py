@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Names of files and texts in them are what they are, whatever the locale."""
+"""Names and texts are what they are, whatever the locale and wherever they go."""
 
 import os
 import subprocess
@@ -42,3 +42,26 @@ def test_names_and_texts_are_of_no_locale(tmp_path, name, locale):
         [sys.executable, '-m', 'sph_stab_ros.evaluate', bag, '--inject', '1'],
         env={**os.environ, **LOCALES[locale]}, stderr=subprocess.PIPE, check=False)
     assert done.returncode == 1 and b'Traceback' not in done.stderr
+
+
+@pytest.mark.parametrize('stream', ['stdout', 'stderr'])
+def test_a_stream_may_be_closed(tmp_path, stream):
+    """As jobs without a terminal have it."""
+    bag = write_bag(tmp_path / 'bag', turning_spheres(3)[0])
+    number = {'stdout': 1, 'stderr': 2}[stream]
+    assert subprocess.run(
+        [sys.executable, '-m', 'sph_stab_ros.replay', bag, '--trajectory', tmp_path / 'out.tum'],
+        preexec_fn=lambda: os.close(number), check=False).returncode == 0
+    assert len((tmp_path / 'out.tum').read_text().splitlines()) == 3
+
+
+@pytest.mark.skipif(not os.path.exists('/dev/full'), reason='there is no /dev/full')
+def test_output_without_room_ends_with_one_line(tmp_path):
+    """That of the tool itself; its files are whole."""
+    bag = write_bag(tmp_path / 'bag', turning_spheres(3)[0])
+    with open('/dev/full', 'w') as full:
+        done = subprocess.run(
+            [sys.executable, '-m', 'sph_stab_ros.replay', bag], stdout=full,
+            stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr == 'replay: [Errno 28] No space left on device\n'
