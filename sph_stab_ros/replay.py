@@ -196,7 +196,7 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
     add_options(parser)
     # OUT may stand behind options too.
-    args = parser.parse_intermixed_args(argv)
+    args = parser.parse_in_any_order(argv)
     if args.out is None and args.view:
         parser.error('--view needs OUT')
     if args.out is not None and args.out.suffix not in ('', *VIDEO_SUFFIXES):

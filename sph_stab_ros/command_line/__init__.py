@@ -9,7 +9,7 @@
 """What the command-line tools share: one line for an error, exit 2 for a usage error, 1 else."""
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 import logging
@@ -35,6 +35,15 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with status 2."""
         self.exit(2, f'{self.prog}: {one_line(message)}\n')
+
+    def parse_in_any_order(self, args: Sequence[str] | None) -> argparse.Namespace:
+        """Return parsed arguments, options and names mixed; behind ``--`` there are only names."""
+        given = list(sys.argv[1:] if args is None else args)
+        if '--' in given:
+            # argparse forgets it between its two passes.
+            at = given.index('--')
+            given[at:] = [f'./{one}' if one.startswith('-') else one for one in given[at + 1:]]
+        return self.parse_intermixed_args(given)
 
 
 def add_recording(parser: argparse.ArgumentParser, name: str) -> None:

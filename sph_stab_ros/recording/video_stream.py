@@ -84,9 +84,12 @@ class PictureStream:
             self._counted_from_ns = -math.inf
             return first_ns, from_beginning
         if self.stream.start_time is not None and self.stream.time_base:
-            # The first picture may be damaged.
-            first_ns = min(first_ns, round(
-                self.stream.start_time * self.stream.time_base * NS_PER_S))
+            # The first picture may be damaged, or be made of others that are not there.
+            begin_ns = round(self.stream.start_time * self.stream.time_base * NS_PER_S)
+            if first_ns - begin_ns > NS_PER_S / self.rate and not self._skip_log.counts:
+                logger.warning('%s begins without a key picture: its first %.3f s cannot be '
+                               'decoded', self._name, (first_ns - begin_ns) / NS_PER_S)
+            first_ns = min(first_ns, begin_ns)
         if start_ns <= 0:
             return first_ns, from_beginning
         self._counted_from_ns = first_ns + start_ns

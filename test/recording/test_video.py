@@ -265,6 +265,23 @@ def test_a_pipe_at_a_path_is_read_once(tmp_path, turning):
         next(recording.frames())
 
 
+@pytest.mark.parametrize('suffix', ['mp4', 'ts'])
+def test_a_video_that_begins_without_a_key_picture_is_told_of(tmp_path, caplog, turning, suffix):
+    """As one that was cut by others: a key picture is every fifth."""
+    whole, cut = encode(tmp_path / f'whole.{suffix}', turning[0]), tmp_path / f'cut.{suffix}'
+    with av.open(str(whole)) as source, av.open(str(cut), 'w') as target:
+        stream = source.streams.video[0]
+        copied = target.add_stream_from_template(stream)
+        for number, packet in enumerate(source.demux(stream)):
+            if number and packet.dts is not None:
+                packet.stream = copied
+                target.mux(packet)
+    assert len(list(open_recording(whole).frames())) == len(turning[0]) and not caplog.records
+    assert len(list(open_recording(cut).frames())) == len(turning[0]) - 5
+    record, = caplog.records
+    assert 'begins without a key picture: its first 0.160 s' in record.getMessage()
+
+
 @pytest.mark.parametrize('name', ['2026-01-02T03:04:05.mp4', 'file:a.mp4', 'sp ace %04d.mp4'])
 def test_any_name_of_a_file_will_do(tmp_path, monkeypatch, turning, name):
     """FFmpeg takes what stands before a colon for a protocol."""
@@ -272,6 +289,8 @@ def test_any_name_of_a_file_will_do(tmp_path, monkeypatch, turning, name):
     assert replay([str(encode('ride.mkv', turning[0])), name, '--max-frames', '5']) == 0
     assert len(list(open_recording(name).frames())) == 5
     assert replay([name, 'copy:of.mp4']) == 0
+    assert replay(['--force', '--', name, '-copy.mp4']) == 0
+    assert len(list(open_recording('-copy.mp4').frames())) == 5
 
 
 def test_a_video_through_a_pipe_is_that_of_the_file(tmp_path, turning):
