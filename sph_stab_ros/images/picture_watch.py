@@ -20,6 +20,8 @@ from sph_stab_ros.images.sphere import as_sphere, config_for
 
 # Which pictures are looked at: the first ones, and of the others one of so many.
 FIRST, SELDOM = 3, 100
+# Smaller ones show nothing to go by.
+MIN_SIDE_PX = 16
 # How many looks in a row must say the same.
 AGREEING = 3
 # Circles are not found more exactly.
@@ -69,7 +71,10 @@ class PictureWatch:
         try:
             frame = picture if isinstance(picture, Frame) else frame_from_message(picture, 0)
             config = config_for(frame, self.config)
-            seen = seen_in(reduced(as_sphere(frame, config).grey(SIDE_PX)))
+            frame = as_sphere(frame, config)
+            if min(frame.size_wh) < MIN_SIDE_PX:
+                return ''
+            seen = seen_in(reduced(frame.grey(SIDE_PX)))
         except ImageError:
             return ''
         hint = hint_of(seen, config.projection) if seen else ''

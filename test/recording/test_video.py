@@ -9,11 +9,7 @@
 """Video files: pixel aspect, rotation, times, damage; and the metadata of levelled ones."""
 
 from fractions import Fraction
-import os
 import struct
-import subprocess
-import sys
-from threading import Thread
 
 import cv2
 import numpy as np
@@ -21,7 +17,6 @@ import pytest
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.tilt import tilt_removed_in_camera, zenith_correction_applied
 from sph_stab_ros.recording.video_writer import VideoWriter
-from sph_stab_ros.replay import main as replay
 from tiny_recordings import PERIOD_NS, stamps_of, START_NS, textured_sphere, write_video
 
 av = pytest.importorskip('av')
@@ -251,20 +246,6 @@ def test_damaged_metadata_say_nothing(tmp_path):
         assert not tilt_removed_in_camera(path)
 
 
-def test_a_pipe_at_a_path_is_read_once(tmp_path, turning):
-    """As a shell makes one of <(...)."""
-    data = encode(tmp_path / 'ride.mkv', turning[0]).read_bytes()
-    pipe = tmp_path / 'pipe'
-    os.mkfifo(pipe)
-    writer = Thread(target=pipe.write_bytes, args=(data,))
-    writer.start()
-    recording = open_recording(pipe)
-    assert len(list(recording.frames())) == len(turning[0])
-    writer.join()
-    with pytest.raises(RecordingError, match='pipe can be read only once'):
-        next(recording.frames())
-
-
 @pytest.mark.parametrize('suffix', ['mp4', 'ts'])
 def test_a_video_that_begins_without_a_key_picture_is_told_of(tmp_path, caplog, turning, suffix):
     """As one that was cut by others: a key picture is every fifth."""
@@ -280,33 +261,3 @@ def test_a_video_that_begins_without_a_key_picture_is_told_of(tmp_path, caplog, 
     assert len(list(open_recording(cut).frames())) == len(turning[0]) - 5
     record, = caplog.records
     assert 'begins without a key picture: its first 0.160 s' in record.getMessage()
-
-
-@pytest.mark.parametrize('name', ['2026-01-02T03:04:05.mp4', 'file:a.mp4', 'sp ace %04d.mp4'])
-def test_any_name_of_a_file_will_do(tmp_path, monkeypatch, turning, name):
-    """FFmpeg takes what stands before a colon for a protocol."""
-    monkeypatch.chdir(tmp_path)
-    assert replay([str(encode('ride.mkv', turning[0])), name, '--max-frames', '5']) == 0
-    assert len(list(open_recording(name).frames())) == 5
-    assert replay([name, 'copy:of.mp4']) == 0
-    assert replay(['--force', '--', name, '-copy.mp4']) == 0
-    assert len(list(open_recording('-copy.mp4').frames())) == 5
-
-
-def test_a_video_through_a_pipe_is_that_of_the_file(tmp_path, turning):
-    """From a time on, too; once."""
-    path = encode(tmp_path / 'ride.mkv', turning[0])
-    script = ('from sph_stab_ros.recording import open_recording, RecordingError\n'
-              'recording = open_recording("-", start_s=0.1)\n'
-              'for frame in recording.frames():\n'
-              '    print(frame.stamp_ns, frame.image.sum())\n'
-              'try:\n    next(recording.frames())\n'
-              'except RecordingError as error:\n    print(error)')
-    with open(path, 'rb') as pipe:
-        said = subprocess.run([sys.executable, '-c', script], stdin=pipe, text=True, check=True,
-                              stdout=subprocess.PIPE, env={
-                                  **os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-    frames = [f'{one.stamp_ns} {one.image.sum()}'
-              for one in open_recording(path, start_s=0.1).frames()]
-    assert 5 < len(frames) < len(turning[0])
-    assert said.stdout.splitlines() == [*frames, 'standard input can be read only once']
