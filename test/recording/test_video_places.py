@@ -6,13 +6,15 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Videos wherever they come from: through pipes, and from files of any name."""
+"""Videos wherever they come from: through pipes, of any name, and pictures by themselves."""
 
 import os
 import subprocess
 import sys
 from threading import Thread
 
+import cv2
+import numpy as np
 import pytest
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.replay import main as replay
@@ -67,3 +69,23 @@ def test_a_video_through_a_pipe_is_that_of_the_file(tmp_path, turning):
               for one in open_recording(path, start_s=0.1).frames()]
     assert 5 < len(frames) < len(turning[0])
     assert said.stdout.splitlines() == [*frames, 'standard input can be read only once']
+
+
+def test_pictures_by_themselves_are_videos(tmp_path, turning):
+    """One is a recording of one picture; JPEG lies as its EXIF data say."""
+    for name in ('a.png', 'a.jpg', 'a.tiff', 'a.bmp', 'a.webp'):
+        assert cv2.imwrite(str(tmp_path / name), turning[0][0])
+        frame, = open_recording(tmp_path / name).frames()
+        assert np.abs(frame.image.astype(int) - turning[0][0]).mean() < 6, name
+        assert replay([str(tmp_path / name), '--trajectory', str(tmp_path / f'{name}.tum')]) == 0
+    for name, pix_fmt in (('gif', 'rgb8'), ('apng', 'rgb24')):
+        path = videos.encode(tmp_path / f'b.{name}', [
+            videos.bgr_frame(image).reformat(format=pix_fmt) for image in turning[0]], codec=name)
+        assert len(list(open_recording(path).frames())) == len(turning[0])
+    jpeg = (tmp_path / 'a.jpg').read_bytes()
+    # Orientation, tag 0x112: turned by half a revolution, 3.
+    exif = b'Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x03\0\0\0\0\0\0'
+    (tmp_path / 'turned.jpg').write_bytes(
+        jpeg[:2] + b'\xff\xe1' + (2 + len(exif)).to_bytes(2, 'big') + exif + jpeg[2:])
+    frame, = open_recording(tmp_path / 'turned.jpg').frames()
+    assert np.abs(frame.image.astype(int) - turning[0][0][::-1, ::-1]).mean() < 6
