@@ -132,7 +132,8 @@ class Sound:
 def can_hold(format_name: str, source: Path, index: int) -> bool:
     """Tell whether a stream can be copied into a format: some muxers learn it from packets."""
     try:
-        with av.open(io.BytesIO(), 'w', format_name) as trial, av.open(url_of(source)) as container:
+        with (av.open(io.BytesIO(), 'w', format_name) as trial,
+              av.open(url_of(source)) as container):
             stream = container.streams[index]
             if stream.codec_context is None:
                 return False

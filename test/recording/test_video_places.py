@@ -43,7 +43,7 @@ def test_a_pipe_at_a_path_is_read_once(tmp_path, turning):
 
 @pytest.mark.parametrize('name', ['2026-01-02T03:04:05.mp4', 'file:a.mp4', 'sp ace %04d.mp4'])
 def test_any_name_of_a_file_will_do(tmp_path, monkeypatch, turning, name):
-    """FFmpeg takes what stands before a colon for a protocol."""
+    """Though FFmpeg takes what stands before a colon for a protocol."""
     monkeypatch.chdir(tmp_path)
     assert replay([str(encode('ride.mkv', turning[0])), name, '--max-frames', '5']) == 0
     assert len(list(open_recording(name).frames())) == 5
