@@ -14,6 +14,7 @@ import sys
 from typing import TypeVar
 
 import rclpy
+from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import one_line
 from sph_stab_ros.command_line.process_setup import set_up_process
@@ -51,6 +52,8 @@ def start_ros(name: str, argv: list[str] | None, parse: Callable[[list[str]], Pa
     own, of_ros = split_arguments(sys.argv if argv is None else argv)
     try:
         parsed = parse(own[1:])
+        # Refuses what ROS does not take, without a line of its own.
+        remove_ros_args(of_ros)
         # rclpy's handler ends it; another one on top could come at any time, the second one while
         # a node is destroyed.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
