@@ -206,6 +206,9 @@ def test_metadata_that_are_wrong_can_be_overruled(tmp_path, boxes):
     tum = tmp_path / 'out.tum'
     assert replay([str(path), '--trajectory', str(tum), '--layout', 'mono']) == 0
     assert angles_deg(read_tum(tum).rotations, R_WORLD_CAMERA).max() < 0.3
+    # All of it is used, too.
+    frame = next(open_recording(path).frames())
+    assert as_sphere(frame, StabilizerConfig(layout='mono')).layout is None
 
 
 def test_the_tracker_is_told_what_is_seen():
