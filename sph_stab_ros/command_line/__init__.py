@@ -20,11 +20,10 @@ import signal
 import sys
 from typing import Any, NoReturn
 
+from sph_stab_ros.command_line.arguments import seconds_argument, whole_number
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 
-# Thirty years: libraries count finer units in 64 bits.
-MOST_SECONDS = 1e9
 # StsNoMem, the code of cv2.error.
 OPENCV_NO_MEMORY = -4
 
@@ -58,11 +57,12 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     """Add arguments for what of a recording to read."""
     parser.add_argument('--image-topic', metavar='TOPIC',
                         help='where the images are in a bag with several image topics')
-    parser.add_argument('--start', metavar='SECONDS', type=_seconds, default=0.,
+    parser.add_argument('--start', metavar='SECONDS', type=seconds_argument, default=0.,
                         help='leave out what comes before, counted from the first picture')
-    parser.add_argument('--end', metavar='SECONDS', type=_seconds, default=math.inf,
+    parser.add_argument('--end', metavar='SECONDS', type=seconds_argument, default=math.inf,
                         help='leave out what comes then and later')
-    parser.add_argument('--max-frames', metavar='N', type=_count, help='stop after N pictures')
+    parser.add_argument('--max-frames', metavar='N', type=whole_number(1),
+                        help='stop after N pictures')
 
 
 def check_stretch(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
@@ -96,21 +96,6 @@ def add_imu_topic(parser: argparse.ArgumentParser) -> None:
 def frames_to_read(recording: Recording, max_frames: int | None) -> int | None:
     """Return how many pictures a Recording has, ``max_frames`` at most; None if unknown."""
     return min(filter(None, (recording.frame_count, max_frames)), default=None)
-
-
-def _count(text: str) -> int:
-    count = int(text)
-    if not 1 <= count <= sys.maxsize:
-        raise argparse.ArgumentTypeError(f'must lie within 1 and {sys.maxsize}')
-    return count
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0 <= seconds <= MOST_SECONDS:
-        raise argparse.ArgumentTypeError(
-            f'must be a number of seconds, within 0 and {MOST_SECONDS:g}')
-    return seconds
 
 
 def one_line(text: object) -> str:
