@@ -25,12 +25,12 @@ from sph_stab_ros.command_line import (
     add_imu_topic, add_recording, check_stretch, frames_to_read, given, is_cut, one_line,
     open_given, Parser, run, told_once)
 from sph_stab_ros.command_line.film import add_film, check_film, FILM_OPTIONS
+from sph_stab_ros.command_line.optional_packages import see_that_figures_can_be_drawn
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
-from sph_stab_ros.evaluation.outputs import see_that_figures_can_be_drawn
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
