@@ -103,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     start = with_lens_file(settings.config.fisheye, (0, 0))
 
     def command() -> None:
-        recording = open_given(args)
+        recording = open_given(args, settings.config.join)
         with partial_output(args.out, args.force) as path:
             greys = spread_images(recording, start, args.max_frames, lambda frames: tqdm(
                 frames, total=frames_to_read(recording, args.max_frames), unit=' frames',

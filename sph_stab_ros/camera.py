@@ -31,7 +31,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.process_setup import bounded_ending
-from sph_stab_ros.config import NODE_PARAMETERS
+from sph_stab_ros.config import JOINS, NODE_PARAMETERS, NOT_JOINED
 from sph_stab_ros.images.codec import (
     compressed_fields, fill_image, fill_message, ImageError, JPEG_QUALITY)
 from sph_stab_ros.images.frame import Frame
@@ -60,10 +60,13 @@ class Camera:
         Of the pictures.
     quality
         Of the JPEG files that are made of what comes as none.
+    join
+        How to put the pictures of two tracks together.
 
     """
 
-    def __init__(self, node: Node, address: Address, frame_id: str, quality: int) -> None:
+    def __init__(self, node: Node, address: Address, frame_id: str, quality: int,
+                 join: str = NOT_JOINED) -> None:
         self._frame_id, self._quality = frame_id, quality
         self._image = advertise(node, Image, 'image')
         self._compressed = advertise(node, CompressedImage, compressed_topic(node, 'image'))
@@ -71,7 +74,7 @@ class Camera:
         self._refusals = ThrottledLog(node.get_logger().warning)
         self._publishing = Worker('publishing', self._publish)
         self.source = LiveSource(
-            address, self._publishing.put, node.get_logger(), self._refuse)
+            address, self._publishing.put, node.get_logger(), self._refuse, join)
 
     def start(self) -> None:
         """Start to read and publish."""
@@ -124,6 +127,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address]:
     parser.add_argument('--quality', metavar='N', type=int, choices=range(1, 101),
                         default=JPEG_QUALITY,
                         help='of JPEG files made of other pictures (default: %(default)s)')
+    parser.add_argument('--join', choices=JOINS, default=NOT_JOINED,
+                        help=NODE_PARAMETERS['join'].description)
     args = parser.parse_args(argv)
     try:
         return args, address_of(args.source, args.options)
@@ -142,7 +147,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     camera: Camera | None = None
     try:
         node = rclpy.create_node('camera')
-        camera = Camera(node, address, args.frame, args.quality)
+        camera = Camera(node, address, args.frame, args.quality, args.join)
         camera.start()
         executor = SingleThreadedExecutor()
         executor.add_node(node)

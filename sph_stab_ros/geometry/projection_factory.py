@@ -12,11 +12,12 @@ import numpy as np
 
 from sph_stab_ros.config import (
     ConfigError, CROPPED_EQUIRECT, CUBEMAP, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP, FISHEYE,
-    FisheyeConfig, MIN_WIDTH, StabilizerConfig, STRETCHED_EQUIRECT)
+    FisheyeConfig, GOPRO_MAX, MIN_WIDTH, StabilizerConfig, STRETCHED_EQUIRECT)
 from sph_stab_ros.geometry.cropped_equirect import cropped_equirect, CroppedEquirect
 from sph_stab_ros.geometry.cubemap import cubemap, equi_angular_cubemap
 from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.fisheye import dual_fisheye, fits, single_fisheye
+from sph_stab_ros.geometry.gopro_max import gopro_max
 from sph_stab_ros.geometry.lens import lens_of
 from sph_stab_ros.geometry.lens_file import check_lens_file, with_lens_file
 from sph_stab_ros.geometry.projection import Equirect, Projection
@@ -78,6 +79,13 @@ def _projection(size_wh: tuple[int, int], config: StabilizerConfig) -> Projectio
         return cropped_equirect(config.crop, size_wh)
     if config.projection == EQUI_ANGULAR_CUBEMAP:
         return equi_angular_cubemap(size_wh)
+    if config.projection == GOPRO_MAX:
+        both = gopro_max(size_wh)
+        if both is None:
+            raise ProjectionError(
+                'not a GoPro Max', 'its two tracks, one above the other (join), make 4096x2688 '
+                f'or 2272x1472, this is {width}x{height}')
+        return both
     if config.projection == CUBEMAP:
         found = cubemap(config.cubemap.order, config.cubemap.turns, size_wh)
         if found is None:

@@ -17,6 +17,7 @@ from sph_stab_ros.config import NodeConfig
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame, video_codec
 from sph_stab_ros.images.frame import Frame, source_from_message
+from sph_stab_ros.images.joined import JoinedPicture
 from sph_stab_ros.images.jpeg import JpegFile
 from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import PictureTime, Stamp
@@ -41,7 +42,7 @@ class ReceivedImage(NamedTuple):
     def frame(self, times: PictureTime) -> Frame:
         """Return the Frame of it, whose times these are; ImageError where there is no picture."""
         content = self.content
-        is_picture = isinstance(content, (VideoPicture, JpegFile))
+        is_picture = isinstance(content, (VideoPicture, JpegFile, JoinedPicture))
         return Frame(content if is_picture else source_from_message(content),
                      times.stamp_ns, self.frame_id, times)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sph_stab_ros.config import (
     CropConfig, CROPPED_EQUIRECT, CUBEMAP, CubemapConfig, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP,
-    EQUISOLID, FISHEYE, FisheyeConfig, LensConfig, StabilizerConfig, STRETCHED_EQUIRECT)
+    EQUISOLID, FISHEYE, FisheyeConfig, GOPRO_MAX, LensConfig, StabilizerConfig, STRETCHED_EQUIRECT)
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of
 
@@ -52,6 +52,8 @@ PICTURES = {
         CUBEMAP, cubemap=CubemapConfig('lrfbdu', '012301'))),
     'equi-angular': ((780, 520), _config(EQUI_ANGULAR_CUBEMAP)),
     'equi-angular 16:9': ((1280, 720), _config(EQUI_ANGULAR_CUBEMAP)),
+    'GoPro Max 5.6K': ((780, 512), _config(GOPRO_MAX)),
+    'GoPro Max 3K': ((790, 512), _config(GOPRO_MAX)),
     'fisheye 180': ((560, 540), _config(
         FISHEYE, fisheye=_circle((560, 540), (281.3, 268.9), 256., 180.))),
     'fisheye 280': ((812, 812), _config(
