@@ -146,8 +146,8 @@ class StabilizerConfig(Checked):
         '(half_sphere)', choices=PICTURE_LAYOUTS)
     join: str = option(
         NOT_JOINED, 'Put the pictures of two lenses that come one by one, as two tracks of a '
-        'video, side by side (left_right) or one above the other (top_bottom), for projection to '
-        'read', choices=JOINS, live=False)
+        'video or on the topics image and image_rear, side by side (left_right) or one above the '
+        'other (top_bottom), for projection to read', choices=JOINS, live=False)
     fisheye: FisheyeConfig = FisheyeConfig()
     crop: CropConfig = CropConfig()
     cubemap: CubemapConfig = CubemapConfig()
