@@ -8,6 +8,8 @@
 
 """One picture of each projection that there is, of a size at which a sphere is 1024 px wide."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sph_stab_ros.config import (
@@ -65,6 +67,8 @@ PICTURES = {
         aspect=0.96))),
     'side by side': ((1140, 570), _config(DUAL_FISHEYE, fisheye=_two_circles(
         (1140, 570), (284.5, 284.5), (854.5, 284.5)))),
+    'near at the border': ((1140, 570), _config(DUAL_FISHEYE, fisheye=replace(_two_circles(
+        (1140, 570), (284.5, 284.5), (854.5, 284.5)), baseline_m=.06, seam_distance_m=1.))),
     'one above the other': ((570, 1140), _config(DUAL_FISHEYE, fisheye=_two_circles(
         (570, 1140), (284.5, 284.5), (284.5, 854.5)))),
 }
