@@ -10,7 +10,7 @@
 Refine the calibration of two fisheye lenses from a recording by what both of them see.
 
 The recording should turn about all axes, somewhere with texture all around and nothing nearer
-than a metre or two.
+than a metre or two. Of one that shows less it says which parameters it could not tell.
 """
 
 from argparse import Namespace
@@ -82,6 +82,8 @@ def report(
     for when, angles_rad in (('before', calibration.before_rad), ('after', calibration.after_rad)):
         median, most = np.rad2deg(np.percentile(angles_rad, (50, 95)))
         yield f'disagreement {when}: median {median:.3f} deg, 95 % below {most:.3f} deg'
+    yield f'told: {", ".join(calibration.told)}'
+    yield f'not told, and near what it was: {", ".join(calibration.untold) or "nothing"}'
 
 
 def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
