@@ -86,11 +86,12 @@ def test_the_lenses_agree_afterwards(calibration):
 
 
 def test_the_parameters_are_found(calibration):
-    """Of the radii only the sum shows; which of them is wrong is not known, and k1 and k4 little."""
+    """Of the radii only the sum shows; which of them is wrong is not known, and k1 little."""
     found = calibration.config
     for lens in ('front', 'rear'):
         for name, tolerance in (('center_u_px', 0.3), ('center_v_px', 0.3), ('radius_px', 2.5),
-                                ('k1', 0.005), ('k2', 0), ('k4', 1e-4), ('yaw_deg', 0.1), ('pitch_deg', 0.1),
+                                ('k1', 0.005), ('k2', 0), ('k4', 1e-4), ('yaw_deg', 0.1),
+                                ('pitch_deg', 0.1),
                                 ('roll_deg', 0.1)):
             values = [getattr(getattr(one, lens), name) for one in (found, TRUE)]
             assert np.ptp(values) <= tolerance, (lens, name)
@@ -222,7 +223,8 @@ def test_a_real_camera_is_calibrated(shared_data):
     greys = [frame.grey() for frame in islice(recording.frames(), 0, None, 8)]
     start = for_size(replace(start, front=replace(start.front, radius_px=296., k4=0.),
                              rear=replace(start.rear, radius_px=296., k4=0.)), (1280, 720))
-    halves = [calibrate(half, start) for half in (greys[:len(greys) // 2], greys[len(greys) // 2:])]
+    middle = len(greys) // 2
+    halves = [calibrate(half, start) for half in (greys[:middle], greys[middle:])]
     for half in halves:
         assert np.rad2deg(np.median(half.before_rad)) > 3
         assert np.rad2deg(np.median(half.after_rad)) < 0.3

@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 
 from sph_stab_ros.calibration.ring import corners_in_both
 from sph_stab_ros.config import FisheyeConfig
-from sph_stab_ros.geometry.arrays import Bearings, Floats, Grey, Pixels, Values
+from sph_stab_ros.geometry.arrays import Bearings, Grey, Pixels, Values
 from sph_stab_ros.geometry.lens import lens_of
 
 
@@ -159,15 +159,15 @@ def fitted(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig,
     sigmas = np.array([one.sigma * (radius_px if one.is_length else 1) for one in PARAMETERS])
 
     def with_values(parameters: Values) -> FisheyeConfig:
-        lenses = {'front': config.front, 'rear': config.rear}
+        lenses = [config.front, config.rear]
         for one, change in zip(PARAMETERS, (sigmas * parameters).tolist()):
-            for name, sign in zip(lenses, one.signs):
-                lens = lenses[name]
+            for number, sign in enumerate(one.signs):
+                lens = lenses[number]
                 # Down and up pixels may be smaller.
                 step = change * (lens.aspect if one.option == 'center_v_px' else 1)
-                lenses[name] = replace(
+                lenses[number] = replace(
                     lens, **{one.option: getattr(lens, one.option) + sign * step})
-        return replace(config, **lenses)
+        return replace(config, front=lenses[0], rear=lenses[1])
 
     def residuals(parameters: Values) -> Values:
         off = misses_px(front_uv, rear_uv, with_values(parameters)) / (

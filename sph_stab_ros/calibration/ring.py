@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from sph_stab_ros.config import FisheyeConfig
-from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Pixels, Values
+from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Pixels
 from sph_stab_ros.geometry.fisheye import dual_fisheye, DualFisheye
 from sph_stab_ros.geometry.lens import Lens
 
