@@ -30,7 +30,7 @@ setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test t
 demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot in results/demo
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
-# Two processes of tests; those of ROS and the browser all in one of them.
+# Two processes of tests; those of the node in one of them, those of other programs in the other.
 # After a crash nothing waits for what that process was to do.
 PYTEST := -m pytest -n 2 --dist loadgroup --max-worker-restart 0
 FAST := not slow and not thorough and not ros and not browser

@@ -53,9 +53,11 @@ def pytest_collection_modifyitems(items):
         # By its fixture: whoever adds a file of such tests need not think of it.
         if 'browser' in item.fixturenames:
             item.add_marker(pytest.mark.browser)
-        # These wait for each other's processes: one at a time, beside others that compute.
+        # These wait for processes of theirs: of the node alone and of all other programs, one at a
+        # time each, which take about equally long.
         if item.get_closest_marker('ros') or item.get_closest_marker('browser'):
-            item.add_marker(pytest.mark.xdist_group('processes'))
+            item.add_marker(pytest.mark.xdist_group(
+                'node' if item.path.is_relative_to(TEST / 'ros') else 'programs'))
 
 
 @pytest.fixture(scope='session')
