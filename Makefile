@@ -19,7 +19,7 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
-.PHONY: evaluation-real evaluation-offline evaluation-hard company evaluation-company benchmark
+.PHONY: evaluation-real evaluation-offline evaluation-hard evaluation-rolling company evaluation-company benchmark
 .PHONY: benchmark-company benchmark-ros soak docs frames bags hard-frames hard constraints packages clean
 
 help:  ## List the targets
@@ -52,10 +52,11 @@ fuzz: setup  ## Damage inputs in new ways for FUZZ_SECONDS; what fails stays in 
 
 # Processes that tests start are measured too; their files stay out of the way of the sources.
 coverage: export COVERAGE_FILE = $(CURDIR)/results/coverage/data
-coverage: setup  ## Run test-fast, and tell in results/coverage which lines it runs
+coverage: setup  ## Run test-fast, and tell in results/coverage and docs/tests.md what it covers
 	mkdir -p results/coverage
-	$(PY) $(PYTEST) -m '$(FAST)' --cov --cov-report=term \
-	    --cov-report=html:results/coverage/html
+	$(PY) $(PYTEST) -m '$(FAST)' --cov --cov-report=html:results/coverage/html \
+	    --cov-report=json:results/coverage/coverage.json
+	$(PY) -m sph_stab_ros.evaluation.page_tables results/coverage docs/tests.md
 
 ledger: setup  ## Write test/ledger.json, the accuracy measured; ONLY='drone anchored' for a part
 	$(PY) test/support/tracking_accuracy.py $(ONLY)
@@ -102,6 +103,19 @@ evaluation-offline: setup  ## The live tracker beside the offline one, also on R
 	    $(OFFLINE) $(REAL)/handheld_theta/handheld_theta.mp4 --max-frames 300 --inject $$seed \
 	    --json $(RESULTS)/offline_theta_$$seed.json || exit 1; done
 	$(FILL_IN_TABLES)
+
+ROLLED = $(PY) -m sph_stab_ros.evaluate results/rolling/$(1) $(MOUNT) --estimators anchored
+
+evaluation-rolling: setup  ## With a rolling shutter, not told of and told, on two simulated flights
+	mkdir -p results/rolling $(RESULTS)
+	$(SIMULATE) shake results/rolling/shake --force --frames-limit 60 --width 960 --hard rolling
+	$(SIMULATE) drone results/rolling/drone --force --frames-limit 120 --width 960 --hard rolling \
+	    --logs '$(LOGS)' --every 2
+	for one in shake drone; do \
+	    $(call ROLLED,$$one) --json $(RESULTS)/rolling_$$one.json && \
+	    $(call ROLLED,$$one) -p rolling_shutter_s:=0.02 --json $(RESULTS)/rolling_$${one}_told.json \
+	    || exit 1; done
+	$(PY) -m sph_stab_ros.evaluation.page_tables $(RESULTS) docs/cameras.md
 
 evaluation-hard: setup  ## The same on what make hard has written
 	mkdir -p $(RESULTS)

@@ -75,9 +75,9 @@ if TYPE_CHECKING:
     from sph_stab_ros.images.frame import Frame
     from sph_stab_ros.recording import open_recording, Recording, RecordingError
     from sph_stab_ros.stabilization.imu import ImuSample
-    from sph_stab_ros.stabilization.pipeline import (
-        StabilizationEvent, StabilizedFrame, Stabilizer)
+    from sph_stab_ros.stabilization.pipeline import Stabilizer
     from sph_stab_ros.stabilization.recording_loop import stabilize_recording, Summary
+    from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent, StabilizedFrame
     from sph_stab_ros.tracking import make_tracker, TrackedOrientation, Tracker, TrackingStatus
     from sph_stab_ros.tracking.frame_to_frame.estimators import BearingPairs, RotationEstimate
     from sph_stab_ros.tracking.frame_to_frame.methods import ImagePair
@@ -110,8 +110,9 @@ _NAMES_BY_MODULE = {
     'images.frame': ('Frame',),
     'recording': ('Recording', 'RecordingError', 'open_recording'),
     'stabilization.imu': ('ImuSample',),
-    'stabilization.pipeline': ('StabilizationEvent', 'StabilizedFrame', 'Stabilizer'),
+    'stabilization.pipeline': ('Stabilizer',),
     'stabilization.recording_loop': ('Summary', 'stabilize_recording'),
+    'stabilization.stabilized_frame': ('StabilizationEvent', 'StabilizedFrame'),
     'tracking': ('TrackedOrientation', 'Tracker', 'TrackingStatus', 'make_tracker'),
     'tracking.frame_to_frame.estimators': ('BearingPairs', 'RotationEstimate'),
     'tracking.frame_to_frame.methods': ('ImagePair',),

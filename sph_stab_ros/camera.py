@@ -9,12 +9,12 @@
 """
 Publish a camera or stream that FFmpeg reads on ROS topics.
 
-Pictures go out on ``image`` (Image) and ``image/compressed`` (CompressedImage), with
-``camera_info`` (CameraInfo) that tells their size, as much of it as somebody subscribes to; what
-comes as JPEG goes out as it came. Where a source breaks off it is opened again. Ends with status 0
-on SIGINT and SIGTERM and at the end of a file or pipe.
+Pictures go out on image (Image) and image/compressed (CompressedImage), with camera_info
+(CameraInfo) that tells their size, as much of it as somebody subscribes to; what comes as JPEG
+goes out as it came. Where a source breaks off it is opened again. Ends with status 0 on SIGINT and
+SIGTERM and at the end of a file or pipe.
 
-The node itself needs none of this: its parameter ``source`` reads the same past the middleware.
+The node itself needs none of this: its parameter source reads the same past the middleware.
 """
 
 from argparse import Namespace
@@ -30,6 +30,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from sph_stab_ros.command_line import one_line, Parser
+from sph_stab_ros.command_line.arguments import whole_number
 from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import JOINS, NODE_PARAMETERS, NOT_JOINED
 from sph_stab_ros.images.codec import (
@@ -118,15 +119,17 @@ class Camera:
 def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address]:
     """Return the parsed command line and the source; exit 2 on a usage error."""
     parser = Parser(prog='camera', description=__doc__)
-    parser.add_argument('source', metavar='SOURCE', help=NODE_PARAMETERS['source'].description)
+    parser.add_argument('source', metavar='SOURCE',
+                        help='a device such as /dev/video0, an address such as rtsp://..., what '
+                        "else FFmpeg reads, a file, or '-' for standard input")
     parser.add_argument('--options', metavar='NAME=VALUE,...', default='',
                         help=NODE_PARAMETERS['source_options'].description)
     parser.add_argument('--frame', metavar='FRAME_ID',
                         default=NODE_PARAMETERS['source_frame'].default,
                         help='frame_id of the images (default: %(default)s)')
-    parser.add_argument('--quality', metavar='N', type=int, choices=range(1, 101),
+    parser.add_argument('--quality', metavar='N', type=whole_number(1, 100),
                         default=JPEG_QUALITY,
-                        help='of JPEG files made of other pictures (default: %(default)s)')
+                        help='of the JPEG made of what comes otherwise (default: %(default)s)')
     parser.add_argument('--join', choices=JOINS, default=NOT_JOINED,
                         help=NODE_PARAMETERS['join'].description)
     args = parser.parse_args(argv)

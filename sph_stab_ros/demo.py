@@ -39,6 +39,7 @@ from sph_stab_ros.evaluation import plots
 from sph_stab_ros.evaluation.alignment import align_trajectories, EvaluationError
 from sph_stab_ros.evaluation.errors import compare
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
@@ -48,8 +49,8 @@ from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.recording.video_writer import VideoWriter
-from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.ros.messages import rotation_from_message
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import TrackingStatus
 from tqdm import tqdm
 

@@ -21,7 +21,8 @@ from typing import TypeAlias
 import numpy as np
 from sph_stab_ros.command_line import (
     add_imu_topic, add_recording, check_stretch, frames_to_read, open_given, Parser, run)
-from sph_stab_ros.command_line.arguments import names_argument, output_argument
+from sph_stab_ros.command_line.arguments import (
+    file_argument, names_argument, output_argument, period_argument, whole_number)
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, refuse_bad_mask,
     settings_from, TRACKER_OPTIONS)
@@ -170,15 +171,15 @@ def command_line() -> Parser:
                         help=f'each estimator with each of {", ".join(FLOWS)} '
                         "(default: the parameters')")
     parser.add_argument('--offline', action='store_true',
-                        help=f'of {ANCHORED} the orientations of replay --offline, too')
+                        help=f'measure {ANCHORED} as replay --offline has it, too')
     parser.add_argument('--truth', metavar='TOPIC',
                         help='PoseStamped, PoseWithCovarianceStamped, QuaternionStamped, '
                         'TransformStamped, Odometry, Imu, Path or TFMessage, or "telemetry": '
                         "what the camera's own sensors measured, in the metadata of a video "
                         '(default: the topic there is)')
     parser.add_argument('--truth-frames', metavar='PARENT:CHILD', type=frames_argument,
-                        help='of a TFMessage topic, whose orientation in which frame is truth: '
-                        'the body in the world')
+                        help='which transform of a TFMessage topic is the truth: from the frame '
+                        'of the world to that of the body')
     parser.add_argument('--mount', metavar='YAW,PITCH,ROLL', type=mount_argument,
                         help="where the camera looks on the truth's body, in degrees to the left, "
                         'up, clockwise, or as a quaternion x,y,z,w of the optical frame; '
@@ -186,14 +187,15 @@ def command_line() -> Parser:
     parser.add_argument('--clock-offset', metavar='auto|SECONDS', type=clock_argument,
                         help="the truth's stamps minus the images' (default: 0, of telemetry "
                         'auto)')
-    parser.add_argument('--inject', metavar='SEED', type=int,
-                        help='need no truth: turn the footage by known rotations')
+    parser.add_argument('--inject', metavar='SEED', type=whole_number(0),
+                        help='instead of a truth: turn the footage by known rotations, drawn with '
+                        'this seed')
     parser.add_argument('--body', metavar='MASK',
                         help='with --inject, what is fixed to the camera and does not turn with '
                         'the world, written as --mask is (default: what that leaves out)')
-    parser.add_argument('--every', metavar='SECONDS', type=float,
-                        help='tell the error in the course of time too')
-    parser.add_argument('--json', metavar='FILE', type=output_argument,
+    parser.add_argument('--every', metavar='SECONDS', type=period_argument,
+                        help='tell the error at every so many seconds, too')
+    parser.add_argument('--json', metavar='FILE', type=file_argument,
                         help='write the figures, replacing the file')
     parser.add_argument('--tum', metavar='DIR', type=output_argument,
                         help='write truth and estimates relative to the first frame into a '
@@ -215,18 +217,11 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Configs]:
     check_stretch(parser, args)
     parameters = given_parameters(parser, args)
     config = settings_from(parser, parameters).config
-    # Written so that NaN fails.
-    if args.every is not None and not args.every > 0:
-        parser.error('--every needs a number of seconds above 0')
-    if args.json and args.json.is_dir():
-        parser.error(f"--json needs a file, '{args.json}' is a folder")
     if args.inject is not None:
         if (args.truth or args.truth_frames or args.mount is not None
                 or args.clock_offset is not None
                 or args.tum):
             parser.error('--inject needs no --truth, --mount, --clock-offset or --tum')
-        if args.inject < 0:
-            parser.error('--inject needs a SEED of 0 or more')
         args.body = config.tracker.mask if args.body is None else args.body
         try:
             load_mask(args.body, MIN_WIDTH)

@@ -39,7 +39,7 @@ from sph_stab_ros.command_line.parameters import (
     add_parameters, add_shorthands, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import AUTO, NodeConfig, NOT_JOINED, Settings
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.images.picture_watch import PictureWatch
@@ -211,7 +211,7 @@ def message_type(name: str) -> type[Any]:
 def restamp(msg: Any, new_ns: Callable[[int], int]) -> None:
     """Replace the header's stamp, where there is one, by ``new_ns(stamp in ns)``."""
     if hasattr(msg, 'header'):
-        msg.header.stamp = time_message(new_ns(ros_messages.stamp_ns(msg.header.stamp)))
+        msg.header.stamp = time_message(new_ns(stamp_ns(msg.header.stamp)))
 
 
 def time_message(ns: int) -> Any:
@@ -237,8 +237,8 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
     group = add_parameters(
-        parser, 'image_transport, jpeg_quality, projection and join count: the node gets what it '
-        'wants')
+        parser, 'image_transport, jpeg_quality, projection, layout and join count, but what a '
+                'bag has compressed goes out as it is')
     add_shorthands(group, ('join',))
     group.add_argument('--compressed', action=SetParameters, nargs=0,
                        read=lambda _, flag: {'image_transport': (flag, 'compressed')},

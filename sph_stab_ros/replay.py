@@ -39,12 +39,13 @@ from sph_stab_ros.stabilization.directions import (
     DirectionPath, read_directions, recorded_directions)
 from sph_stab_ros.stabilization.offline import looking_ahead, offline_stabilizer
 from sph_stab_ros.stabilization.outputs import configured_camera, draw_sphere, draw_view
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic, RecordedImu
 from sph_stab_ros.stabilization.recording_loop import (
     FrameProcessor, stabilize_recording, Summary)
 from sph_stab_ros.stabilization.sinks import (
     bag_sink, Sink, stills_sink, trajectory_sink, video_sink)
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import make_tracker, MakeTracker
 
 from tqdm import tqdm
@@ -79,7 +80,7 @@ def output_sinks(args: Namespace, settings: Settings, recording: Recording, stac
         return (side_by_side(s, now.look.R_virtual_view, now.look.hfov_rad) if args.side_by_side
                 else draw_view(s, config, now))
     yield video_sink(args.out, args.force, stack, recording, not is_cut(args), picture, is_sphere,
-                     args.encoder, args.hyperlapse or 1)
+                     args.encoding, args.hyperlapse or 1)
     if args.stills:
         yield stills_sink(args.out.with_name(f'{args.out.stem}_stills'), args.force, stack,
                           args.stills, picture)

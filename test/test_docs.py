@@ -63,6 +63,28 @@ def test_commands_of_the_tutorials_run(command, tmp_path):
             assert (tmp_path / word).exists(), done.stdout
 
 
+@pytest.mark.ros
+def test_the_node_of_the_tutorial_hears_the_player_of_the_tutorial(tmp_path):
+    harness = pytest.importorskip('node_harness', reason='rclpy is not installed')
+    page = ROOT / 'docs/tutorials/first_robot.md'
+    node, player, operator = (line.split() for line in commands(page))
+    assert [words[0] for words in (node, player, operator)] == [
+        f'.venv/bin/{name}' for name in ('stabilizer', 'player', 'operator')]
+    # None of them has another name for the pictures.
+    assert '-r' not in node + player + operator
+    domain = next(harness.DOMAINS)
+    with harness.stabilizer(tmp_path, *node[2:], camera=False, reliable=False,
+                            domain=domain) as peer:
+        playing = subprocess.Popen(
+            [sys.executable, '-m', 'sph_stab_ros.player', *player[1:]], cwd=ROOT,
+            env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
+        try:
+            peer.wait_until(lambda: peer.received['orientation'])
+        finally:
+            playing.terminate()
+            playing.wait(harness.TIMEOUT_S)
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_warnings(tmp_path):
     if not SPHINX.exists():

@@ -52,6 +52,16 @@ def test_each_codec_shows_the_same(turning_bag, tmp_path, codec, name, encoder, 
         assert a.stamp_ns == b.stamp_ns and difference(a.image, b.image) < 4
 
 
+@pytest.mark.parametrize('codec', ['h264', 'h265', 'av1'])
+@pytest.mark.parametrize('count', [1, 2, 3])
+def test_the_shortest_films_are_whole(turning_bag, tmp_path, codec, count):
+    """Also those that are too short for an encoder to change the order of pictures."""
+    shown = film(turning_bag, tmp_path / 'short.mp4', '--codec', codec, '--max-frames', count)
+    usual = film(turning_bag, tmp_path / 'usual.mp4')[:count]
+    for a, b in zip(shown, usual, strict=True):
+        assert a.stamp_ns == b.stamp_ns and difference(a.image, b.image) < 4
+
+
 def test_a_slower_preset_makes_another_file(turning_bag, tmp_path):
     """The encoder is told."""
     for preset in ('ultrafast', 'slow'):

@@ -16,6 +16,7 @@ from operator import itemgetter
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from simulated_imu import imu_samples
 from sph_stab_ros.evaluate import main as evaluate
 from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.geometry.trajectory import read_tum
@@ -23,7 +24,6 @@ from sph_stab_ros.recording import open_recording
 from sph_stab_ros.recording.bag_writer import BagWriter
 from sph_stab_ros.replay import arguments, main
 from sph_stab_ros.simulation import flights
-from sph_stab_ros.simulation.imu import imu_samples
 from sph_stab_ros.stabilization.imu import mount_rotation
 from sph_stab_ros.stabilization.level import heading
 from sph_stab_ros.stabilization.pipeline import Stabilizer

@@ -8,7 +8,7 @@
 
 """Stabilise many recordings, here or on a cluster; after any end the same call goes on."""
 
-from argparse import ArgumentTypeError, Namespace
+from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -27,6 +27,7 @@ from sph_stab_ros.batch.segments import failure_of, is_done, segment_tasks
 from sph_stab_ros.batch.tables import evaluation_lines, failure_lines
 from sph_stab_ros.batch.tasks import Outcome, Task
 from sph_stab_ros.command_line import add_selection, check_stretch, given, Parser, run
+from sph_stab_ros.command_line.arguments import whole_number
 from sph_stab_ros.command_line.film import check_film, FILM_OPTIONS
 from sph_stab_ros.config import ANCHORED, IMU, Settings
 from sph_stab_ros.config.options import with_option
@@ -119,14 +120,6 @@ def task_of(entry: Entry, args: Namespace, settings: Settings) -> Task:
                 WRITTEN[args.write], args.evaluate, entry.state != EVALUATE, args.memory_mb)
 
 
-def at_least(minimum: int, text: str) -> int:
-    """Return a number that is not smaller."""
-    number = int(text)
-    if number < minimum:
-        raise ArgumentTypeError(f'must be at least {minimum}')
-    return number
-
-
 def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     """Return the parsed command line and the Settings; exit 2 on a usage error."""
     parser = Parser(prog='batch', description=__doc__)
@@ -142,17 +135,16 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     parser.add_argument('--dry-run', action='store_true', help='show the plan only')
     parser.add_argument('--evaluate', action='store_true',
                         help='one table over all recordings that have truth')
-    parser.add_argument('--jobs', metavar='N', type=lambda text: at_least(1, text),
+    parser.add_argument('--jobs', metavar='N', type=whole_number(1),
                         help='how many at once, on as many cores (default: as many as there are '
                         'cores, and memory for)')
     parser.add_argument('--memory-mb', metavar='MB', default=MEMORY_MB,
-                        type=lambda text: at_least(MIN_MEMORY_MB, text),
+                        type=whole_number(MIN_MEMORY_MB),
                         help=f'what each may take (default: {MEMORY_MB})')
     parser.add_argument('--scheduler', metavar='tcp://HOST:PORT',
                         help='have it done by the workers of this Dask cluster, to which files '
                         'have the same paths as here')
-    parser.add_argument('--split', metavar='SECONDS',
-                        type=lambda text: at_least(MIN_SPLIT_S, text),
+    parser.add_argument('--split', metavar='SECONDS', type=whole_number(MIN_SPLIT_S),
                         help='track longer recordings in overlapping segments of about this '
                         'length, each of which is a task, and join these')
     parser.add_argument('--force', action='store_true',

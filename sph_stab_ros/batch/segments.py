@@ -33,8 +33,8 @@ from sph_stab_ros.geometry.trajectory import Trajectory, write_tum
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.base import EmptyStretch, Stretch
 from sph_stab_ros.replay import Progress, replay, report
-from sph_stab_ros.stabilization.pipeline import StabilizationEvent, StabilizedFrame
 from sph_stab_ros.stabilization.recording_loop import Summary
+from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent, StabilizedFrame
 from sph_stab_ros.tracking.base import TrackedOrientation, TrackingStatus
 from sph_stab_ros.tracking.offline.joining import join_segments, JoiningError, Segment
 from sph_stab_ros.tracking.offline.two_passes import KnownOrientations

@@ -27,6 +27,7 @@ from sph_stab_ros.benchmark.growth import growth, MAX_PICTURES
 from sph_stab_ros.benchmark.machine import machine, MAX_WIDTH
 from sph_stab_ros.benchmark.references import is_there, references
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.command_line.arguments import file_argument, names_argument, whole_number
 from sph_stab_ros.config import MIN_WIDTH, TrackerConfig
 from sph_stab_ros.evaluation.alignment import EvaluationError
 from sph_stab_ros.evaluation.report import Figures
@@ -82,7 +83,7 @@ def targets(widths: FiguresByWidth, cores: int) -> Iterator[Target]:
     """
     Yield what is aimed at, what was measured and whether that is met, of figures by width.
 
-    Table whose widths were not measured are left out.
+    Those whose widths were not measured are left out.
     """
     if 960 in widths:
         ms = widths[960]['pipelines']['anchored']['wall_ms']
@@ -126,42 +127,26 @@ def references_table(figures: Mapping[str, Figures]) -> Iterator[str]:
                f'{error["mean"]:>15.3f}°{error["max"]:>7.2f}°{method["ms_per_frame"]:>10.1f}')
 
 
-def parts_argument(text: str) -> list[str]:
-    """Return the parts of a comma-separated list."""
-    parts = text.split(',')
-    for part in parts:
-        if part not in PARTS:
-            raise ArgumentTypeError(f"there is no part '{part}', but {', '.join(PARTS)}")
-    return parts
-
-
 def arguments(argv: Sequence[str] | None) -> Namespace:
     """Return the parsed command line; exit 2 on a usage error."""
     parser = Parser(prog='benchmark', description=__doc__)
     parser.add_argument('recording', metavar='REC', type=Path, nargs='?',
                         default=Path('bags/drone'),
                         help='where the pictures come from (default: %(default)s)')
-    parser.add_argument('--parts', metavar='P,...', type=parts_argument,
-                        default=','.join(PARTS), help='what to measure (default: %(default)s)')
+    parser.add_argument('--parts', metavar='P,...', type=names_argument(PARTS),
+                        default=','.join(PARTS),
+                        help='what to measure: milliseconds, what a long run costs, errors and '
+                        'times beside others (default: %(default)s)')
     parser.add_argument('--widths', metavar='W,...', type=widths_argument,
                         default=','.join(map(str, WIDTHS)),
                         help='widths in pixels (default: %(default)s)')
-    parser.add_argument('--repeats', metavar='N', type=int, default=20,
+    parser.add_argument('--repeats', metavar='N', type=whole_number(1), default=20,
                         help=f'calls to take the median of, fewer for those that take more than '
                         f'{BUDGET_S:g} s in all (default: %(default)s)')
-    parser.add_argument('--growth-frames', metavar='N', type=int, default=2000,
-                        help='how long the growth is watched, at least 10 (default: %(default)s)')
-    parser.add_argument('--json', metavar='FILE', type=Path, help='write all figures')
-    args = parser.parse_args(argv)
-    if args.repeats < 1:
-        parser.error('--repeats must be at least 1')
-    if args.growth_frames < 10:
-        parser.error('--growth-frames must be at least 10')
-    if args.json and args.json.is_dir():
-        parser.error(f"--json needs a file, '{args.json}' is a folder")
-    if args.json and not args.json.parent.is_dir():
-        parser.error(f'--json: there is no folder {args.json.parent}')
-    return args
+    parser.add_argument('--growth-frames', metavar='N', type=whole_number(10), default=2000,
+                        help='length of the long run, at least 10 (default: %(default)s)')
+    parser.add_argument('--json', metavar='FILE', type=file_argument, help='write all figures')
+    return parser.parse_args(argv)
 
 
 def bar(name: str, iterable: Iterable[Item], total: int | None,

@@ -11,14 +11,12 @@
 from collections.abc import Callable, Iterable, Sequence
 from itertools import chain, cycle, islice
 import os
-from pathlib import Path
-import resource
-import sys
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from sph_stab_ros.command_line.processes import memory_mb
 from sph_stab_ros.config import TrackerConfig
 from sph_stab_ros.geometry.arrays import Grey
 from sph_stab_ros.geometry.conventions import NS_PER_S
@@ -54,23 +52,13 @@ def growth(spheres: Sequence[Grey], frames: int,
         times_ms[number] = 1000 * (perf_counter() - start_s)
         lost += tracked.status is not TrackingStatus.OK
         if number + 1 == tenth:
-            early = {'memory_mb': memory_mb(), **_kept(tracker)}
+            early = _held_by(tracker)
     return {
         'frames': frames, 'width': spheres[0].shape[1], 'lost_frames': lost,
         'first_tenth': {'median_ms': float(np.median(times_ms[:tenth])), **early},
-        'last_tenth': {'median_ms': float(np.median(times_ms[-tenth:])),
-                       'memory_mb': memory_mb(), **_kept(tracker)}}
+        'last_tenth': {'median_ms': float(np.median(times_ms[-tenth:])), **_held_by(tracker)}}
 
 
-def _kept(tracker: Any) -> dict[str, int]:
-    return {'keyframes': int(tracker.keyframes_kept), 'landmarks': int(tracker.landmarks_kept)}
-
-
-def memory_mb() -> float:
-    """Return the memory that the process holds now; where no one tells, the most it ever held."""
-    statm = Path('/proc/self/statm')
-    if statm.exists():
-        return int(statm.read_text().split()[1]) * os.sysconf('SC_PAGE_SIZE') / 1e6
-    # Kilobytes, but on macOS, where it is bytes.
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most / (1e6 if sys.platform == 'darwin' else 1e3)
+def _held_by(tracker: Any) -> dict[str, float]:
+    return {'memory_mb': memory_mb(os.getpid())['rss'], 'keyframes': tracker.keyframes_kept,
+            'landmarks': tracker.landmarks_kept}

@@ -37,14 +37,15 @@ from rclpy.qos import qos_profile_sensor_data, QoSProfile
 from sph_stab_ros.benchmark.machine import machine, MAX_WIDTH
 from sph_stab_ros.benchmark.node_scenario import MemoryRecording, Scenario
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.command_line.arguments import file_argument, whole_number
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.config import MIN_WIDTH
 from sph_stab_ros.evaluation.report import Figures
+from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.player import Player
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.ros.messages import stamp_ns
 
 PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 NAMESPACE = 'benchmark'
@@ -223,18 +224,16 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
                         help='width of the pictures (default: %(default)s)')
     parser.add_argument('--rate', metavar='HZ', type=float, default=30.,
                         help='pictures per second (default: %(default)s)')
-    parser.add_argument('--frames', metavar='N', type=int, default=300,
+    parser.add_argument('--frames', metavar='N', type=whole_number(1), default=300,
                         help='pictures that count (default: %(default)s)')
-    parser.add_argument('--json', metavar='FILE', type=Path, help='write all figures')
+    parser.add_argument('--json', metavar='FILE', type=file_argument, help='write all figures')
     args = parser.parse_args(argv)
     if args.profile and not args.profile.is_file():
         parser.error(f'there is no file {args.profile}')
-    if not (args.rate > 0 and args.frames > 0):
-        parser.error('--rate and --frames must be positive')
+    if not args.rate > 0:
+        parser.error('--rate must be positive')
     if args.width % 2 or not MIN_WIDTH <= args.width <= MAX_WIDTH:
         parser.error(f'--width must be even, between {MIN_WIDTH} and {MAX_WIDTH}')
-    if args.json and not args.json.parent.is_dir():
-        parser.error(f'--json: there is no folder {args.json.parent}')
     return args
 
 

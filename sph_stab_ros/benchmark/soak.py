@@ -34,12 +34,12 @@ from rclpy.parameter_client import AsyncParameterClient
 from sensor_msgs.msg import Imu
 from sph_stab_ros.benchmark.soak_visitors import Comings, Participant
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.command_line.arguments import file_argument, whole_number
 from sph_stab_ros.command_line.processes import memory_mb, running
 from sph_stab_ros.evaluation.report import Figures
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.ros.messages import stamp_ns
 from sph_stab_ros.stabilization.imu import NOT_MEASURED
 from sph_stab_ros.stabilization.level import GRAVITY_M_S2
 from std_msgs.msg import Header
@@ -195,14 +195,10 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
     parser = Parser(prog='soak', description=__doc__)
     parser.add_argument('recording', metavar='REC', type=Path, nargs='?',
                         default=Path('bags/drone'), help='what to play (default: %(default)s)')
-    parser.add_argument('--seconds', metavar='S', type=int, default=600,
+    parser.add_argument('--seconds', metavar='S', type=whole_number(3), default=600,
                         help='for how long (default: %(default)s)')
-    parser.add_argument('--json', metavar='FILE', type=Path, help='write a report')
+    parser.add_argument('--json', metavar='FILE', type=file_argument, help='write a report')
     args = parser.parse_args(argv)
-    if args.seconds < 3:
-        parser.error('--seconds must be at least 3')
-    if args.json and not args.json.parent.is_dir():
-        parser.error(f'--json: there is no folder {args.json.parent}')
     if not args.recording.exists():
         parser.error(f'{args.recording} does not exist')
     return args

@@ -38,13 +38,13 @@ from sensor_msgs.msg import CompressedImage
 from sph_stab_ros.benchmark.machine import machine
 from sph_stab_ros.benchmark.node import NAMESPACE, percentiles, ros_node, SILENCE_S, STARTUP_S
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.command_line.arguments import whole_number
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.evaluation.report import Figures
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.live.capture_clock import SENDER
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.ros.messages import stamp_ns
 
 KEY = 'source'
 PICTURES = 60
@@ -174,15 +174,15 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
                         help='where the pictures come from (default: %(default)s)')
     parser.add_argument('--width', metavar='PX', type=int, default=1920)
     parser.add_argument('--rate', metavar='HZ', type=float, default=30.)
-    parser.add_argument('--frames', metavar='N', type=int, default=300,
+    parser.add_argument('--frames', metavar='N', type=whole_number(1), default=300,
                         help='pictures that count (default: %(default)s)')
     parser.add_argument('--view', action='store_true',
                         help='subscribe to the view of 960x540 too, as JPEG')
     parser.add_argument('--add-to', metavar='FILE', type=Path,
                         help=f"add all figures to those in a JSON file, as '{KEY}'")
     args = parser.parse_args(argv)
-    if not (args.rate > 0 and args.frames > 0 and args.width > 0 and args.width % 4 == 0):
-        parser.error('--rate and --frames are positive, --width a multiple of four')
+    if not (args.rate > 0 and args.width > 0 and args.width % 4 == 0):
+        parser.error('--rate is positive, --width a multiple of four')
     return args
 
 

@@ -19,6 +19,7 @@ import signal
 import sys
 from typing import Any, NoReturn
 
+from sph_stab_ros.command_line.arguments import seconds_argument, whole_number
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 
@@ -47,11 +48,12 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--image-topic', metavar='TOPIC',
                         help='where the images are in a bag with several image topics; with '
                         'join A,B for two lenses')
-    parser.add_argument('--start', metavar='SECONDS', type=_seconds, default=0.,
+    parser.add_argument('--start', metavar='SECONDS', type=seconds_argument, default=0.,
                         help='leave out what comes before, counted from the first picture')
-    parser.add_argument('--end', metavar='SECONDS', type=_seconds, default=math.inf,
+    parser.add_argument('--end', metavar='SECONDS', type=seconds_argument, default=math.inf,
                         help='leave out what comes then and later')
-    parser.add_argument('--max-frames', metavar='N', type=_count, help='stop after N pictures')
+    parser.add_argument('--max-frames', metavar='N', type=whole_number(1),
+                        help='stop after N pictures')
 
 
 def check_stretch(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
@@ -85,20 +87,6 @@ def add_imu_topic(parser: argparse.ArgumentParser) -> None:
 def frames_to_read(recording: Recording, max_frames: int | None) -> int | None:
     """Return how many pictures a Recording has, ``max_frames`` at most; None if unknown."""
     return min(filter(None, (recording.frame_count, max_frames)), default=None)
-
-
-def _count(text: str) -> int:
-    count = int(text)
-    if count < 1:
-        raise argparse.ArgumentTypeError('must be at least 1')
-    return count
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0 <= seconds < math.inf:
-        raise argparse.ArgumentTypeError('must be a number of seconds, 0 or more')
-    return seconds
 
 
 def one_line(text: object) -> str:

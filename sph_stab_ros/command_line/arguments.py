@@ -11,6 +11,7 @@
 
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Collection
+import math
 from pathlib import Path
 
 
@@ -23,6 +24,48 @@ def names_argument(known: Collection[str]) -> Callable[[str], list[str]]:
                 raise ArgumentTypeError(f"'{name}' is none of {', '.join(known)}")
         return names
     return convert
+
+
+def whole_number(least: int, most: float = math.inf) -> Callable[[str], int]:
+    """Return a converter of a whole number within bounds."""
+    bounds = f'at least {least}' if most == math.inf else f'within {least} and {most}'
+
+    def convert(text: str) -> int:
+        try:
+            number = int(text)
+        except ValueError:
+            raise ArgumentTypeError(f"'{text}' is not a whole number") from None
+        if not least <= number <= most:
+            raise ArgumentTypeError(f'must be {bounds}')
+        return number
+    return convert
+
+
+def seconds_argument(text: str) -> float:
+    """Return a number of seconds, 0 or more."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    # Written so that NaN fails.
+    if not 0 <= seconds < math.inf:
+        raise ArgumentTypeError('must be a number of seconds, 0 or more')
+    return seconds
+
+
+def period_argument(text: str) -> float:
+    """Return a number of seconds above 0."""
+    seconds = seconds_argument(text)
+    if not seconds:
+        raise ArgumentTypeError('must be a number of seconds above 0')
+    return seconds
+
+
+def file_argument(text: str) -> Path:
+    """Return the path of a file to write, whose folder must exist."""
+    if Path(text).is_dir():
+        raise ArgumentTypeError(f"'{text}' is a folder")
+    return output_argument(text)
 
 
 def output_argument(text: str) -> Path:

@@ -9,8 +9,8 @@
 """Arguments for what a video shows, how fast, and how it is encoded."""
 
 import argparse
-import math
 
+from sph_stab_ros.command_line.arguments import period_argument, whole_number
 from sph_stab_ros.config import ConfigError, EncoderConfig, options
 
 ENCODER_OPTIONS = tuple(one.name for one in options(EncoderConfig))
@@ -20,15 +20,15 @@ FILM_OPTIONS = ('side_by_side', 'hyperlapse', 'directions', 'stills', *ENCODER_O
 
 def add_film(parser: argparse.ArgumentParser) -> None:
     """Add the arguments."""
-    group = parser.add_argument_group('the video', 'All need one as output.')
+    group = parser.add_argument_group('the video', 'All need a video as output.')
     group.add_argument('--side-by-side', action='store_true',
                        help='show sphere, front and back view, recorded and stabilised')
     group.add_argument('--directions', metavar='FILE.yaml|TOPIC',
                        help='a view that looks where a list of {time_s, yaw_deg, pitch_deg} says, '
                        "or a bag's topic such as view/direction, and turns smoothly in between")
-    group.add_argument('--hyperlapse', metavar='N', type=_speed,
+    group.add_argument('--hyperlapse', metavar='N', type=whole_number(2, 1000),
                        help='show every N-th picture, N times as fast, without sound')
-    group.add_argument('--stills', metavar='SECONDS', type=_seconds,
+    group.add_argument('--stills', metavar='SECONDS', type=period_argument,
                        help='write a picture every so many seconds into OUT_stills/, too')
     for one in options(EncoderConfig):
         group.add_argument(f'--{one.name}', type=type(one.default), choices=one.choices,
@@ -44,7 +44,7 @@ def check_film(parser: argparse.ArgumentParser, args: argparse.Namespace, is_vid
             parser.error(f'--{name.replace("_", "-")} needs {wanted}')
     if args.directions and args.view:
         parser.error('--directions says where the view looks: leave out --view')
-    args.encoder = encoder_of(parser, args)
+    args.encoding = encoder_of(parser, args)
 
 
 def encoder_of(parser: argparse.ArgumentParser, args: argparse.Namespace) -> EncoderConfig:
@@ -54,17 +54,3 @@ def encoder_of(parser: argparse.ArgumentParser, args: argparse.Namespace) -> Enc
                                 if getattr(args, name) is not None})
     except ConfigError as error:
         parser.error(f'--{error}')
-
-
-def _speed(text: str) -> int:
-    speed = int(text)
-    if not 2 <= speed <= 1000:
-        raise argparse.ArgumentTypeError('must be within 2 and 1000')
-    return speed
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0 < seconds < math.inf:
-        raise argparse.ArgumentTypeError('must be a number of seconds above 0')
-    return seconds

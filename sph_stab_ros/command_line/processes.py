@@ -55,9 +55,9 @@ def memory_mb(pid: int) -> dict[str, float]:
     ``rss`` is all that is resident, shared memory of the middleware and libraries included;
     ``private`` only what no other process could account for.
     """
-    kilobytes = {}
+    held_mb = {}
     for line in Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines()[1:]:
         name, amount = line.split()[:2]
-        kilobytes[name.rstrip(':')] = int(amount)
-    return {'rss': kilobytes['Rss'] / 1024,
-            'private': (kilobytes['Private_Clean'] + kilobytes['Private_Dirty']) / 1024}
+        # In units of 1024 bytes, though they are called kB.
+        held_mb[name.rstrip(':')] = int(amount) * 1024 / 1e6
+    return {'rss': held_mb['Rss'], 'private': held_mb['Private_Clean'] + held_mb['Private_Dirty']}

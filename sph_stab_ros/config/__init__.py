@@ -8,7 +8,7 @@
 
 """Every option once: ROS parameters, command lines and parameter files are made from here."""
 
-from sph_stab_ros.config.encoder import EncoderConfig
+from sph_stab_ros.config.encoder import EncoderConfig, H264, LIVE_ENCODERS
 from sph_stab_ros.config.options import (
     ConfigError, get_option, Option, options, with_option)
 from sph_stab_ros.config.projection import (
@@ -26,10 +26,10 @@ __all__ = [
     'ANCHORED', 'AUTO', 'ConfigError', 'CropConfig', 'CROPPED_EQUIRECT', 'CUBEMAP',
     'CubemapConfig', 'DUAL_FISHEYE', 'EQUI_ANGULAR_CUBEMAP', 'EQUIDISTANT', 'EQUIRECT',
     'EncoderConfig', 'EQUISOLID', 'FIRST_FRAME', 'FISHEYE', 'FisheyeConfig', 'FLOWS', 'FOLLOW',
-    'frame_in_tf', 'get_option', 'GOPRO_MAX', 'HALF_SPHERE', 'IMAGE_TRANSPORTS', 'IMU',
-    'ImuConfig', 'JOINS', 'LEFT_RIGHT', 'LENS_MODELS', 'LensConfig', 'LEVELS', 'LOCK', 'METHODS',
-    'MIN_WIDTH', 'MODES',
-    'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'NOT_JOINED', 'Option', 'options', 'PICTURE_LAYOUTS',
-    'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig',
-    'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME',
+    'frame_in_tf', 'get_option', 'GOPRO_MAX', 'H264', 'HALF_SPHERE', 'IMAGE_TRANSPORTS', 'IMU',
+    'ImuConfig', 'JOINS', 'LEFT_RIGHT', 'LENS_MODELS', 'LensConfig', 'LEVELS', 'LIVE_ENCODERS',
+    'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'NOT_JOINED',
+    'Option', 'options', 'PICTURE_LAYOUTS', 'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of',
+    'SmoothingConfig', 'StabilizerConfig', 'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig',
+    'VIEW', 'VIEW_NAME',
     'view_parameters', 'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']

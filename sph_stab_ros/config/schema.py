@@ -66,6 +66,10 @@ class TrackerConfig(Checked):
         'it to the estimator: 640 for anchored, 480 for the others', minimum=0, maximum=3840)
     mask: str = option(
         '', "Pixels not to use: path of a 2:1 image (black) or 'lat:FROM,TO' in degrees")
+    rolling_shutter_s: float = option(
+        0., 'For how long in seconds the rows of a picture are read, from the first to the last '
+        '(rolling shutter), negative where the last one is the first; stamps are of the middle',
+        minimum=-0.1, maximum=0.1)
     max_prediction_s: float = option(
         0.5, 'For how long in seconds the last angular velocity is trusted without measurement',
         minimum=0., maximum=10.)

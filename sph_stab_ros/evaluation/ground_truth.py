@@ -18,11 +18,12 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.evaluation.telemetry_truth import telemetry_truth
 from sph_stab_ros.evaluation.transforms import composed, Frames, is_static, Sample, Transforms
 from sph_stab_ros.geometry.arrays import Choice, Floats, Stamps
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.messages import POSE_WITH_COVARIANCE, QUATERNION, TRANSFORMS
 from sph_stab_ros.recording.telemetry import TELEMETRY
+from sph_stab_ros.stabilization.recorded_imu import IMU_TYPE
 
 logger = logging.getLogger(__name__)
 
@@ -32,9 +33,8 @@ ORIENTATION_OF: dict[str, Callable[[Any], Any]] = {
     QUATERNION: lambda msg: msg.quaternion,
     'geometry_msgs/msg/TransformStamped': lambda msg: msg.transform.rotation,
     'nav_msgs/msg/Odometry': lambda msg: msg.pose.pose.orientation,
-    'sensor_msgs/msg/Imu': lambda msg: msg.orientation,
+    IMU_TYPE: lambda msg: msg.orientation,
 }
-IMU_TYPE = 'sensor_msgs/msg/Imu'
 PATH_TYPE = 'nav_msgs/msg/Path'
 # What is taken without being named, only where there is nothing before it: a path may be one that
 # is planned, an IMU's heading drifts.
@@ -118,7 +118,7 @@ def _of_messages(recording: Recording, topic: str) -> list[Sample]:
         if msgtype == IMU_TYPE and msg.orientation_covariance[0] == -1:
             continue
         q = ORIENTATION_OF[msgtype](msg)
-        samples.append((_stamp_ns(msg) or received_ns, (q.x, q.y, q.z, q.w)))
+        samples.append((stamp_ns(msg.header.stamp) or received_ns, (q.x, q.y, q.z, q.w)))
     return samples
 
 
@@ -128,7 +128,7 @@ def _of_path(recording: Recording, topic: str) -> list[Sample]:
     for _, msg in recording.messages(topic):
         for pose in msg.poses:
             q = pose.pose.orientation
-            latest[_stamp_ns(pose)] = q.x, q.y, q.z, q.w
+            latest[stamp_ns(pose.header.stamp)] = q.x, q.y, q.z, q.w
     # Nothing else tells the time of a pose in a path.
     if latest.pop(0, None):
         if not latest:
@@ -158,10 +158,6 @@ def _of_frames(recording: Recording, topic: str, frames: Frames | None) -> Traje
     except ValueError as error:
         raise RecordingError(
             f'{recording.name}, --truth-frames {":".join(frames)}: {error}') from None
-
-
-def _stamp_ns(msg: Any) -> int:
-    return int(msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec)
 
 
 def _cleaned(topic: str, samples: Sequence[Sample]) -> Trajectory:

@@ -34,8 +34,8 @@ from sph_stab_ros.geometry.masks import common, load_mask
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.imu import ImuSample
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.stabilization.recording_loop import FrameProcessor
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 
 # Yaw, pitch, roll.
 PEAKS_DEG = (25., 12., 15.)

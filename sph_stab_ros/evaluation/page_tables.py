@@ -16,10 +16,11 @@ A page marks a table's place, what it tells and of which results::
     …
     <!-- end -->
 
-``FOLDER/drone.json`` is what ``evaluate --json`` wrote. Tables whose results are not there stay as
-they are. Times differ from run to run and have a table of their own.
+``FOLDER/drone.json`` is what ``evaluate --json`` wrote, or ``coverage json``. Tables whose results
+are not there stay as they are. Times differ from run to run and have a table of their own.
 """
 
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 import json
 from pathlib import Path
@@ -124,9 +125,22 @@ def offline(results: Sequence[Result]) -> Iterator[Row]:
     yield ('**mean of all**', *(f'{means[i]:.3f}°' for i in (0, 1) for means in (live, known)))
 
 
+def covered(results: Sequence[Result]) -> Iterator[Row]:
+    """Yield the rows of a table of lines and branches that tests run, by room."""
+    result, = results
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for name, one in result['files'].items():
+        _, *room, _ = Path(name).parts
+        counts[f'`{room[0]}`' if room else 'executables'].update(one['summary'])
+    yield 'room', 'lines', 'branches'
+    for name, counted in sorted(counts.items()):
+        yield (name, _percent(counted['covered_lines'], counted['num_statements']),
+               _percent(counted['covered_branches'], counted['num_branches']))
+
+
 TABLES: dict[str, Table] = {
     'errors': errors, 'beside': beside, 'times': times, 'paper': paper, 'over_time': over_time,
-    'injected': injected, 'offline': offline}
+    'injected': injected, 'offline': offline, 'covered': covered}
 
 
 def filled(page: str, folder: Path) -> str:
@@ -152,6 +166,10 @@ def markdown(rows: Iterable[Row]) -> str:
 
 def _degrees(values: dict[str, float], *keys: str, digits: int = 2) -> str:
     return ', '.join(f'{values[key]:.{digits}f}' for key in keys) + '°'
+
+
+def _percent(part: int, whole: int) -> str:
+    return f'{100 * part / whole:.0f} %' if whole else '–'
 
 
 def _spec(mask: str) -> str:

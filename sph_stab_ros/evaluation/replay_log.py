@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Image, Values
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 
 # Of these there are between the half and all, spread evenly.
 MOST_THUMBNAILS = 8

@@ -27,9 +27,10 @@ from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording
 from sph_stab_ros.stabilization.imu import ImuSample
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recorded_imu import RecordedImu
 from sph_stab_ros.stabilization.recording_loop import stabilize_recording
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import make_tracker, MakeTracker, TrackingStatus
 from sph_stab_ros.tracking.offline import TwoPasses
 

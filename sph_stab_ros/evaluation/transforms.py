@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.evaluation.alignment import has_truth
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.messages import TRANSFORMS
@@ -48,8 +48,8 @@ class Transforms:
 
     def _add(self, static: bool, received_ns: int, transform: Any) -> None:
         frames = same_frame(transform.header.frame_id), same_frame(transform.child_frame_id)
-        stamp, q = transform.header.stamp, transform.transform.rotation
-        sample = stamp.sec * NS_PER_S + stamp.nanosec or received_ns, (q.x, q.y, q.z, q.w)
+        q = transform.transform.rotation
+        sample = stamp_ns(transform.header.stamp) or received_ns, (q.x, q.y, q.z, q.w)
         if static:
             self.static[frames] = sample
         else:

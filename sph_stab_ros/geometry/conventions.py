@@ -8,6 +8,8 @@
 
 """Units and axes that everything counts in; the package's docstring states them in full."""
 
+from typing import Any
+
 from scipy.spatial.transform import Rotation
 
 NS_PER_S = 10**9
@@ -16,3 +18,8 @@ NS_PER_S = 10**9
 # axes (x right, y down, z forward).
 R_BODY_CAMERA = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 R_CAMERA_BODY = R_BODY_CAMERA.inv()
+
+
+def stamp_ns(stamp: Any) -> int:
+    """Return a builtin_interfaces Time, of rclpy's or of a bag reader's, in nanoseconds."""
+    return int(stamp.sec * NS_PER_S + stamp.nanosec)

@@ -28,7 +28,7 @@ ASPECT_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
-class Layout:
+class FaceLayout:
     """Where the faces are: columns and rows of the picture, its places in the order of faces."""
 
     columns: int
@@ -39,14 +39,14 @@ class Layout:
     turns: str = '000000'
 
 
-def _grid(columns: int, rows: int, order: str = 'rludfb', turns: str = '000000') -> Layout:
+def _grid(columns: int, rows: int, order: str = 'rludfb', turns: str = '000000') -> FaceLayout:
     places = tuple((place % columns, place // columns) for place in range(6))
-    return Layout(columns, rows, places, order, turns)
+    return FaceLayout(columns, rows, places, order, turns)
 
 
 CUBEMAPS = (
     _grid(3, 2), _grid(6, 1), _grid(1, 6),
-    Layout(4, 3, ((1, 0), (0, 1), (1, 1), (2, 1), (3, 1), (1, 2)), 'ulfrbd'))
+    FaceLayout(4, 3, ((1, 0), (0, 1), (1, 1), (2, 1), (3, 1), (1, 2)), 'ulfrbd'))
 # Of YouTube: a band of left, front and right, and one of below, behind and above, on their sides.
 EQUI_ANGULAR = _grid(3, 2, 'lfrdbu', '000313')
 # Of YouTube's, at the outer edges of the bands, as FFmpeg's v360 found them.
@@ -58,12 +58,12 @@ class Cubemap(PixelMap):
     """
     The Projection of a picture of six faces of a cube around the camera.
 
-    Those of an equi-angular one have equal angles between their pixels, and ``padding_px`` more
+    Those of an equi-angular one have equal angles between their pixels, and ``padding_uv_px`` more
     at the left and right of the picture and at the top and bottom of each row of faces.
     """
 
     size_wh: tuple[int, int]
-    layout: Layout
+    layout: FaceLayout
     equi_angular: bool = False
     padding_uv_px: tuple[float, float] = (0., 0.)
 
@@ -133,7 +133,7 @@ class Cubemap(PixelMap):
 
 
 @lru_cache(maxsize=8)
-def faces(layout: Layout) -> tuple[Floats, Floats]:
+def faces(layout: FaceLayout) -> tuple[Floats, Floats]:
     """Return where columns, rows and depth of each face grow to (6, 3, 3), and places (6, 2)."""
     axes = []
     for letter, turns in zip(layout.order, layout.turns):
@@ -154,7 +154,7 @@ def cubemap(order: str, turns: str, size_wh: tuple[int, int]) -> Cubemap | None:
     for layout in CUBEMAPS:
         expected_width = height * layout.columns / layout.rows
         if abs(width - expected_width) < ASPECT_TOLERANCE * expected_width:
-            return Cubemap(size_wh, Layout(
+            return Cubemap(size_wh, FaceLayout(
                 layout.columns, layout.rows, layout.places, order or layout.order,
                 turns or layout.turns))
     return None

@@ -61,7 +61,7 @@ def perspective_view(image: NDArray[Element], R_source_view: Rotation, hfov_rad:
 
 
 def view_rotation(yaw_rad: float = 0., pitch_rad: float = 0., roll_rad: float = 0.) -> Rotation:
-    """Return ``R_world_view`` from yaw (left), pitch (up) and roll (clockwise as seen)."""
+    """Return ``R_virtual_view`` from yaw (left), pitch (up) and roll (clockwise as seen)."""
     return Rotation.from_euler('YXZ', (-yaw_rad, pitch_rad, roll_rad))
 
 
@@ -98,7 +98,7 @@ class InverseWarp:
         self._node_bearings = np.float32(target_bearings(self.nodes_px))
         offsets = (np.arange(cell_px, dtype=np.float32) + 0.5) / cell_px
         along = np.stack((1 - offsets, offsets))
-        # Of a cell's corners in the order of _exact, (4, pixels).
+        # Of a cell's corners in the order of _fill_exactly, (4, pixels).
         self._corner_weights = np.einsum('iv,ju->ijvu', along, along).reshape(4, -1)
 
     def __call__(self, image: NDArray[Element], R_source_target: Rotation,

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sph_stab_ros.geometry.arrays import Floats, Grey, Mask
+from sph_stab_ros.geometry.arrays import Floats, Grey, Image, Mask
 
 # What pictures are reduced to, on their longer side.
 SIDE_PX = 256
@@ -78,7 +78,7 @@ class Seen(NamedTuple):
     squeezed: float = 1.
 
 
-def reduced(picture: Grey) -> Grey:
+def reduced(picture: Image) -> Grey:
     """Return a picture, BGR or grey, as a grey one of SIDE_PX on its longer side."""
     height, width = picture.shape[:2]
     scale = SIDE_PX / max(width, height)
@@ -92,7 +92,7 @@ def seen_in(grey: Grey) -> Seen | None:
     height, width = grey.shape
     if min(grey.shape) < SIDE_PX // 8:
         return None
-    halves = side_by_side(grey), side_by_side(grey.T)
+    halves = in_halves(grey), in_halves(grey.T)
     circles = [circle_pair(pair) for pair in halves]
     found = next(filter(None, circles), None)
     if found is not None:
@@ -142,7 +142,7 @@ def is_about(value: float, wanted: float) -> bool:
     return abs(value / wanted - 1) < ASPECT_TOLERANCE
 
 
-def side_by_side(grey: Grey) -> tuple[Grey, Grey]:
+def in_halves(grey: Grey) -> tuple[Grey, Grey]:
     """Return the left and the right half."""
     half = grey.shape[1] // 2
     return grey[:, :half], grey[:, -half:]

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sph_stab_ros.geometry.arrays import Image
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.images.image_error import ImageError as ImageError
 from sph_stab_ros.images.picture_size import (
     is_whole_png, JPEG as JPEG, PNG as PNG, refuse_too_much, require_memory, START_OF_SCAN)
@@ -74,10 +74,8 @@ def format_of(msg: Any) -> str:
 def stamp_and_frame(msg: Any) -> tuple[int, str]:
     """Return the stamp in ns, 0 without, and the frame_id of a message of any type of image."""
     if hasattr(msg, 'header'):
-        stamp, frame_id = msg.header.stamp, msg.header.frame_id
-    else:
-        stamp, frame_id = msg.timestamp, msg.frame_id
-    return stamp.sec * NS_PER_S + stamp.nanosec, frame_id
+        return stamp_ns(msg.header.stamp), msg.header.frame_id
+    return stamp_ns(msg.timestamp), msg.frame_id
 
 
 def file_in(msg: Any) -> tuple[bytes, str]:

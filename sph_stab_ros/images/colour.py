@@ -15,7 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sph_stab_ros.geometry.arrays import Bgr, Floats, Raster
+from sph_stab_ros.geometry.arrays import Floats, Raster
 
 # Code points of matrices, primaries and transfer characteristics.
 UNSPECIFIED = 2
@@ -29,6 +29,10 @@ HD_WIDTH, HD_HEIGHT = 1280, 577
 # Of eight bits.
 BLACK, LUMA_STEPS, CHROMA_STEPS, CHROMA_ZERO = 16, 219, 224, 128
 FULL_STEPS = 255
+# Of pictures that have more than eight bits, in B'G'R'.
+DEEP_BITS = 16
+# What is written of those.
+WRITTEN_BITS = 10
 # Nothing is left out where linear interpolation makes a picture smaller by no more than this.
 MIN_LINEAR = 0.75
 
@@ -74,8 +78,8 @@ def likely_matrix(size_wh: tuple[int, int], primaries: int) -> int:
 
 
 @cache
-def yuv_from_bgr(matrix: int, is_full_range: bool, bits: int = 8) -> Floats:
-    """Return (3, 4), what makes Y', Cb, Cr of so many bits out of B', G', R' of eight, and 1."""
+def yuv_from_bgr(matrix: int, is_full_range: bool, bits: int = 8, bgr_bits: int = 8) -> Floats:
+    """Return (3, 4), what makes Y', Cb, Cr of so many bits out of B', G', R' of so many, and 1."""
     _, red, blue = MATRICES[matrix]
     luma = np.array((blue, 1 - red - blue, red))
     rows = np.array((luma, ((1, 0, 0) - luma) / (2 * (1 - blue)),
@@ -86,30 +90,43 @@ def yuv_from_bgr(matrix: int, is_full_range: bool, bits: int = 8) -> Floats:
     else:
         steps = finer * np.array((LUMA_STEPS, CHROMA_STEPS, CHROMA_STEPS), float)
         zero = np.array((BLACK, CHROMA_ZERO, CHROMA_ZERO))
-    return np.column_stack((rows * steps[:, None] / FULL_STEPS, finer * zero))
+    return np.column_stack((rows * steps[:, None] / (2 ** bgr_bits - 1), finer * zero))
 
 
 @cache
-def bgr_from_yuv(matrix: int, is_full_range: bool, bits: int = 8) -> Floats:
-    """Return (3, 4), what makes B', G', R' of eight bits out of Y', Cb, Cr of so many, and 1."""
-    there = yuv_from_bgr(matrix, is_full_range, bits)
+def bgr_from_yuv(matrix: int, is_full_range: bool, bits: int = 8, bgr_bits: int = 8) -> Floats:
+    """Return (3, 4), what makes B', G', R' of so many bits out of Y', Cb, Cr of so many, and 1."""
+    there = yuv_from_bgr(matrix, is_full_range, bits, bgr_bits)
     back = np.linalg.inv(there[:, :3])
     return np.column_stack((back, -back @ there[:, 3]))
 
 
-def to_bgr(planes: Sequence[Raster], size_wh: tuple[int, int], colour: Colour, bits: int = 8
-           ) -> Bgr:
-    """Return a picture (height, width, 3) of planes Y', Cb, Cr of any size and so many bits."""
+def to_bgr(planes: Sequence[Raster], size_wh: tuple[int, int], colour: Colour, bits: int = 8,
+           bgr_bits: int = 8) -> Raster:
+    """
+    Return a picture (height, width, 3) of planes Y', Cb, Cr of any size and so many bits.
+
+    It has eight bits or, where the planes have more, ``DEEP_BITS`` if wanted.
+    """
     yuv = cv2.merge([resized(plane, size_wh) for plane in planes])
-    image = cv2.transform(yuv, bgr_from_yuv(colour.matrix, colour.is_full_range, bits))
+    image = cv2.transform(yuv, bgr_from_yuv(colour.matrix, colour.is_full_range, bits, bgr_bits))
     # Which saturates; transform itself has the type of what it is given.
-    return image if bits == 8 else cv2.convertScaleAbs(image)
+    return image if bits == 8 or bgr_bits > 8 else cv2.convertScaleAbs(image)
 
 
-def from_bgr(image: Bgr, colour: Colour) -> tuple[Raster, Raster, Raster]:
-    """Return Y' (H, W), Cb and Cr (H / 2, W / 2) of a picture with even sides."""
+def from_bgr(image: Raster, colour: Colour) -> tuple[Raster, Raster, Raster]:
+    """
+    Return Y' (H, W), Cb and Cr (H / 2, W / 2) of a picture (H, W, 3) with even sides.
+
+    They have eight bits or, of a picture of ``DEEP_BITS``, ten.
+    """
     height, width = image.shape[:2]
-    yuv = cv2.transform(image, yuv_from_bgr(colour.matrix, colour.is_full_range))
+    is_deep = image.dtype != np.uint8
+    depths = (WRITTEN_BITS, DEEP_BITS) if is_deep else (8, 8)
+    yuv = cv2.transform(image, yuv_from_bgr(colour.matrix, colour.is_full_range, *depths))
+    if is_deep:
+        # In full range the purest of colours have a chroma of one level more.
+        np.minimum(yuv, 2 ** WRITTEN_BITS - 1, out=yuv)
     half = cv2.resize(yuv, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     return cv2.extractChannel(yuv, 0), cv2.extractChannel(half, 1), cv2.extractChannel(half, 2)
 

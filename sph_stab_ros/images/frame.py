@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from sph_stab_ros.geometry.arrays import Grey, Image
+from sph_stab_ros.geometry.arrays import Grey, Image, Raster
 from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.codec import decoded, file_in, is_raw, JPEG
@@ -76,6 +76,12 @@ class Frame:
     def image(self) -> Image:
         """Return the picture, BGR (H, W, 3) or grey (H, W); ImageError where it is damaged."""
         return self.source if isinstance(self.source, np.ndarray) else self.source.image
+
+    @property
+    def deep_image(self) -> Raster | None:
+        """Return the picture, BGR (H, W, 3) uint16, where it has more than eight bits."""
+        # As few sources can.
+        return getattr(self.source, 'deep_image', None)
 
     @property
     def size_wh(self) -> tuple[int, int]:

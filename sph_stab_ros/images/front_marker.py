@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.arrays import Bearings, Floats, Image, Pixels
+from sph_stab_ros.geometry.arrays import Bearings, Floats, Image, Pixels, Raster
 from sph_stab_ros.geometry.equirect import pixels_from_bearings
 from sph_stab_ros.geometry.warp import focal_length_px, view_rotation
 
@@ -80,7 +80,7 @@ def _draw_front(image: Image, tip: Pixels, along: Floats) -> None:
     thickness = max(round(radius / 5), 1)
     for colour, width_px in ((OUTLINE_BGR, 3 * thickness), (COLOUR_BGR, thickness)):
         cv2.polylines(image, [_fixed_point(line) for line in lines], False,
-                      _in_grey(image, colour), width_px, cv2.LINE_AA, SHIFT)
+                      value(image, colour), width_px, cv2.LINE_AA, SHIFT)
 
 
 def _draw_arrow(image: Image, centre: Pixels, towards: Floats) -> None:
@@ -92,9 +92,9 @@ def _draw_arrow(image: Image, centre: Pixels, towards: Floats) -> None:
     head = np.stack((tip, tip - 1.6 * size * forward + size * aside,
                      tip - 1.1 * size * forward, tip - 1.6 * size * forward - size * aside))
     outline = _fixed_point(head)
-    cv2.polylines(image, [outline], True, _in_grey(image, OUTLINE_BGR),
+    cv2.polylines(image, [outline], True, value(image, OUTLINE_BGR),
                   max(round(size / 4), 2), cv2.LINE_AA, SHIFT)
-    cv2.fillPoly(image, [outline], _in_grey(image, COLOUR_BGR), cv2.LINE_AA, SHIFT)
+    cv2.fillPoly(image, [outline], value(image, COLOUR_BGR), cv2.LINE_AA, SHIFT)
 
 
 def _fixed_point(points: Pixels) -> NDArray[np.int32]:
@@ -102,6 +102,8 @@ def _fixed_point(points: Pixels) -> NDArray[np.int32]:
     return np.rint(points * (1 << SHIFT)).astype(np.int32)
 
 
-def _in_grey(image: Image, colour_bgr: tuple[int, int, int]) -> tuple[int, int, int] | int:
-    """Return a colour, or its brightness where the image is grey."""
-    return colour_bgr if image.ndim == 3 else int(np.dot((0.114, 0.587, 0.299), colour_bgr))
+def value(image: Raster, colour_bgr: tuple[int, int, int]) -> tuple[int, ...] | int:
+    """Return what a colour of eight bits is in an image, which may be grey or have more bits."""
+    if image.ndim == 2:
+        return int(np.dot((0.114, 0.587, 0.299), colour_bgr))
+    return tuple(np.iinfo(image.dtype).max // 255 * one for one in colour_bgr)

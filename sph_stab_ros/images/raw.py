@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sph_stab_ros.geometry.arrays import Image
+from sph_stab_ros.images.colour import bgr_from_yuv, SMPTE170M
 from sph_stab_ros.images.image_error import ImageError
 
 
@@ -60,11 +61,6 @@ ENCODINGS: dict[str, Encoding] = {**EIGHT_BITS, **SIXTEEN_BITS, **YUV_422}
 # A plane of Y and one of both U and V behind it: the conversion, where U and V are fewer.
 PLANES: dict[str, int | None] = {
     'nv12': cv2.COLOR_YUV2BGR_NV12, 'nv21': cv2.COLOR_YUV2BGR_NV21, 'nv24': None}
-# B, G and R of Y, U, V and 1: ITU-R BT.601, limited range.
-BGR_OF_YUV = np.array((
-    (1.164, 2.018, 0, -1.164 * 16 - 2.018 * 128),
-    (1.164, -0.391, -0.813, -1.164 * 16 + (0.391 + 0.813) * 128),
-    (1.164, 0, 1.596, -1.164 * 16 - 1.596 * 128)))
 
 
 def image_from_raw(msg: Any) -> Image:
@@ -110,7 +106,8 @@ def _from_planes(msg: Any, data: NDArray[np.uint8]) -> Image:
     if conversion is not None:
         return cv2.cvtColor(np.ascontiguousarray(rows), conversion)
     colour = data[height * step:].reshape(height, 2 * step)[:, :2 * width]
-    return cv2.transform(np.dstack((rows[:height], colour.reshape(height, width, 2))), BGR_OF_YUV)
+    return cv2.transform(np.dstack((rows[:height], colour.reshape(height, width, 2))),
+                         bgr_from_yuv(SMPTE170M, is_full_range=False))
 
 
 def _plane(msg: Any, data: NDArray[np.uint8], row_count: int, row_bytes: int, step: int

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Bgr, Image
 from sph_stab_ros.geometry.warp import view_rotation
+from sph_stab_ros.images.front_marker import value
 
 MAX_ROW_HEIGHT_PX = 480
 BACK = view_rotation(yaw_rad=np.pi)
@@ -66,6 +67,7 @@ def labelled(picture: Bgr, text: str) -> Bgr:
     scale = picture.shape[0] / 640
     origin = (round(14 * scale), round(34 * scale))
     for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
-        cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, max(scale, 0.4), colour,
-                    max(1, round(thickness * max(scale, 0.5))), cv2.LINE_AA)
+        cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, max(scale, 0.4),
+                    value(picture, colour), max(1, round(thickness * max(scale, 0.5))),
+                    cv2.LINE_AA)
     return picture

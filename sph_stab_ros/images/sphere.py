@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from sph_stab_ros.config import AUTO, EQUIRECT, StabilizerConfig
-from sph_stab_ros.geometry.arrays import Grey, Image
+from sph_stab_ros.geometry.arrays import Grey, Image, Raster
 from sph_stab_ros.geometry.layout import Layout, LAYOUTS
 from sph_stab_ros.images.frame import Frame
 
@@ -44,6 +44,12 @@ class SphereOf:
     def image(self) -> Image:
         """Return the whole sphere."""
         return self._layout.sphere(self._frame.image)
+
+    @cached_property
+    def deep_image(self) -> Raster | None:
+        """Return the whole sphere as the Frame's ``deep_image``."""
+        deep = self._frame.deep_image
+        return None if deep is None else self._layout.sphere(deep)
 
     def grey(self, width: int = 0) -> Grey:
         """Return the sphere in grey; a smaller one, at least as wide as this, costs less."""

@@ -27,12 +27,13 @@ from typing import TYPE_CHECKING
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import Parser
-from sph_stab_ros.command_line.process_setup import bounded_ending, set_up_process
+from sph_stab_ros.command_line.arguments import whole_number
+from sph_stab_ros.command_line.process_setup import bounded_ending
+from sph_stab_ros.config import LIVE_ENCODERS
 from sph_stab_ros.operator.addresses import own_address
+from sph_stab_ros.ros.starting import start_ros
 
 if TYPE_CHECKING:
     from sph_stab_ros.operator.listening import Listener
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from sph_stab_ros.operator.video import Video
 
 PORT = 8360
+# Encoders that are not in hardware.
+X264, NONE = 'x264', 'none'
 LOOPBACK = '127.0.0.1'
 # What is said of optional dependencies.
 MISSING = {'aiohttp': 'this needs aiohttp',
@@ -60,7 +63,7 @@ def arguments(argv: Sequence[str]) -> Namespace:
     parser.add_argument('--host', default=LOOPBACK, metavar='ADDRESS',
                         help='where to listen; 0.0.0.0 for the whole network, whose browsers then '
                              'need the token in the address printed (default: %(default)s)')
-    parser.add_argument('--port', type=int, metavar='N',
+    parser.add_argument('--port', type=whole_number(0, 2**16 - 1), metavar='N',
                         help=f'0 for any that is free (default: {PORT}, or any if that is taken)')
     parser.add_argument('--token-file', type=Path, metavar='FILE',
                         help='file with the token to ask for, instead of a new one at each start')
@@ -72,24 +75,21 @@ def arguments(argv: Sequence[str]) -> Namespace:
     parser.add_argument('--insecure', action='store_true',
                         help='serve http also beyond this machine: everybody on the way can see '
                              'the pictures and the token')
-    parser.add_argument('--browsers', type=int, default=5, metavar='N',
+    parser.add_argument('--browsers', type=whole_number(1), default=5, metavar='N',
                         help='how many may look at the same time (default: %(default)s)')
     parser.add_argument('--stabilizer', default='stabilizer', metavar='NAME',
                         help='name of the stabilizer node (default: %(default)s)')
     parser.add_argument('--pictures', choices=('camera', 'stabilizer'), default='camera',
                         help="whose pictures to send; the stabilizer's costs more, and is for "
                              'cameras that are not equirectangular (default: %(default)s)')
-    parser.add_argument('--encoder', choices=('x264', 'none'), default='x264',
+    parser.add_argument('--encoder', choices=(X264, NONE, *LIVE_ENCODERS), default=X264,
                         help='what makes a video of the pictures for browsers that take one: a '
-                             'tenth of the bits for half a core; none sends JPEG alone '
-                             '(default: %(default)s)')
+                             'tenth of the bits for half a core; one in a graphics card or '
+                             'another chip, if it can be used, x264 otherwise; none sends JPEG '
+                             'alone (default: %(default)s)')
     parser.add_argument('--recordings', type=Path, default=Path('recordings'), metavar='FOLDER',
                         help='where the bags come that the page records (default: %(default)s)')
     args = parser.parse_args(argv)
-    if args.port is not None and not 0 <= args.port < 2**16:
-        parser.error('--port lies within 0 and 65535')
-    if args.browsers < 1:
-        parser.error('--browsers must be positive')
     if args.insecure and args.certificate:
         parser.error('--insecure leaves no use for --certificate')
     if args.key and not args.certificate:
@@ -108,12 +108,8 @@ def arguments(argv: Sequence[str]) -> Namespace:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     argv = sys.argv if argv is None else ['operator', *argv]
-    try:
-        args = arguments(remove_ros_args(argv)[1:])
-        set_up_process()
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        print(f'operator: {str(error).splitlines()[0]}', file=sys.stderr)
+    args = start_ros('operator', argv, arguments, ended_by_signals=False)
+    if args is None:
         return 2
     logging.basicConfig(format='operator: %(message)s', level=logging.INFO, stream=sys.stderr)
     try:
@@ -167,8 +163,9 @@ async def serve(args: Namespace) -> None:
         LOG.warning('there is no parameter %s here; those of the stabilizer are set at that node',
                     ', '.join(map(repr, unknown)))
     warn = ThrottledLog(LOG.warning).warn
+    encoding = None if args.encoder == NONE else video(warn, args.encoder)
     server = OperatorServer(robot, Access(args.host, token), Recorder(args.recordings, warn), warn,
-                            args.browsers, video(warn) if args.encoder == 'x264' else None)
+                            args.browsers, encoding)
     if tls and tls.authority_pem:
         server.files.offer(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
     try:
@@ -191,14 +188,14 @@ async def serve(args: Namespace) -> None:
             robot.destroy_node()
 
 
-def video(warn: Callable[[str, str], object]) -> 'Video | None':
-    """Return what encodes, or None where it cannot be, with a line in the log."""
+def video(warn: Callable[[str, str], object], encoder: str) -> 'Video | None':
+    """Return what encodes, or None where nothing can, with a line in the log."""
     from sph_stab_ros.images.video.decoder import INSTALL
     try:
-        from sph_stab_ros.operator.h264 import can_encode
+        from sph_stab_ros.operator.h264 import can_encode, SOFTWARE
         from sph_stab_ros.operator.video import Video
         if can_encode():
-            return Video(warn)
+            return Video(warn, SOFTWARE if encoder == X264 else encoder)
     except ImportError as error:
         if error.name != 'av':
             raise

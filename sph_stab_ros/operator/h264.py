@@ -8,6 +8,7 @@
 
 """Pictures as H.264, each at once: files of images in, for every one of them a packet out."""
 
+from collections.abc import Callable
 from fractions import Fraction
 
 from av.codec.codec import codecs_available
@@ -18,9 +19,12 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.frame import PictureType, VideoFrame
 import numpy as np
 
+from sph_stab_ros.config import LIVE_ENCODERS
 from sph_stab_ros.images.codec import decoded, ImageError, JPEG, whole_file
+from sph_stab_ros.images.video.encoders import EncoderError, input_format
+from sph_stab_ros.images.video.picture import FULL, plane_of
 
-CODEC = 'libx264'
+SOFTWARE = 'libx264'
 # More take too long, and a view of 100° of them has as many pixels as many a window.
 MAX_COLUMNS = 2048
 # The encoder is told so, and its bit rate such that it is right for the pictures that come.
@@ -33,11 +37,11 @@ MAX_SHARE = 1.5
 LEAST_CHANGE, MOST_CHANGE = 0.4, 1.3
 # Full range, as JPEG has it: its planes stay as they are.
 PIXELS = 'yuvj420p'
-OPTIONS = {
+SOFTWARE_OPTIONS = {
     # At 1920×960 it takes 15 ms to 8 of ultrafast, and is as good at 2 Mbit/s as that at 5.
-    'preset': 'superfast', 'tune': 'zerolatency', 'threads': '1',
-    # Key pictures come when somebody asks.
-    'g': '1000000', 'x264-params': 'scenecut=0'}
+    'preset': 'superfast', 'tune': 'zerolatency', 'threads': '1', 'x264-params': 'scenecut=0'}
+# Key pictures come when somebody asks.
+OPTIONS = {'g': '1000000', 'bf': '0'}
 
 
 class H264Encoder:
@@ -50,11 +54,17 @@ class H264Encoder:
     ----------
     divisor
         By how much pictures are made smaller.
+    name
+        FFmpeg's of the encoder. One in hardware that does not open, or does not give each picture
+        at once, is given up for software's.
+    warn
+        Logs a text, before which comes the kind of event.
 
     """
 
-    def __init__(self, divisor: int = 1) -> None:
-        self._divisor = divisor
+    def __init__(self, divisor: int = 1, name: str = SOFTWARE,
+                 warn: Callable[[str, str], object] = lambda kind, text: None) -> None:
+        self._divisor, self._name, self._warn = divisor, name, warn
         self._jpeg = jpeg_decoder()
         self._encoder: VideoCodecContext | None = None
         self._first_told = 0.
@@ -75,15 +85,22 @@ class H264Encoder:
             LEAST_CHANGE <= told / self._first_told <= MOST_CHANGE) and (
             self._encoder.width, self._encoder.height) == (frame.width, frame.height)
         try:
+            if self._name != SOFTWARE:
+                frame = in_format(frame, input_format(self._name))
             if self._encoder is None or wants_key or not fits:
                 self._first_told = told
                 self._encoder = new_encoder(
-                    frame, told * MOST_CHANGE,
+                    self._name, frame, told * MOST_CHANGE,
                     bit_rate * max(MAX_PICTURE_S, MAX_SHARE * period_s))
             self._encoder.bit_rate = round(told)
             packet, = self._encoder.encode(frame)
-        except (FFmpegError, ValueError) as error:
+        except (EncoderError, FFmpegError, ValueError) as error:
             self._encoder = None
+            if self._name != SOFTWARE:
+                self._warn('encoder', f'{self._name} cannot be used here: {error}; {SOFTWARE} '
+                           'encodes')
+                self._name = SOFTWARE
+                return self.encode(file, bit_rate, period_s, wants_key)
             raise ImageError('cannot encode', f'{frame.width}×{frame.height}: {error}') from None
         return bytes(packet), packet.is_keyframe
 
@@ -110,9 +127,17 @@ class H264Encoder:
         return frame
 
 
+def in_format(frame: VideoFrame, pixel_format: str) -> VideoFrame:
+    """Return a picture with the values of one of ``PIXELS`` in a format that says no range."""
+    picture = VideoFrame(frame.width, frame.height, 'yuv420p')
+    for index in range(3):
+        plane_of(picture, index)[:] = plane_of(frame, index)
+    return picture.reformat(format=pixel_format)
+
+
 def can_encode() -> bool:
     """Tell whether this PyAV has the encoder."""
-    return CODEC in codecs_available
+    return SOFTWARE in codecs_available
 
 
 def size(width: int, height: int, divisor: int) -> tuple[int, int]:
@@ -121,16 +146,19 @@ def size(width: int, height: int, divisor: int) -> tuple[int, int]:
     return width // divisor & ~3, height // divisor & ~1
 
 
-def new_encoder(frame: VideoFrame, max_bit_rate: float, max_bits: float) -> VideoCodecContext:
+def new_encoder(name: str, frame: VideoFrame, max_bit_rate: float, max_bits: float
+                ) -> VideoCodecContext:
     """Return an encoder for pictures as this one, of which none has more than ``max_bits``."""
-    encoder = CodecContext.create(CODEC, 'w')
+    encoder = CodecContext.create(name, 'w')
     assert isinstance(encoder, VideoCodecContext)
-    encoder.width, encoder.height, encoder.pix_fmt = frame.width, frame.height, PIXELS
+    encoder.width, encoder.height, encoder.pix_fmt = frame.width, frame.height, frame.format.name
+    encoder.color_range = FULL
     encoder.time_base, encoder.framerate = Fraction(1, RATE_HZ), Fraction(RATE_HZ)
     # The rate is constant and begins with the highest: x264 changes no other, and only downwards.
     encoder.bit_rate = round(max_bit_rate)
     encoder.options = {
-        **OPTIONS, 'maxrate': str(encoder.bit_rate), 'bufsize': str(round(max_bits))}
+        **OPTIONS, **(SOFTWARE_OPTIONS if name == SOFTWARE else LIVE_ENCODERS[name]),
+        'maxrate': str(encoder.bit_rate), 'bufsize': str(round(max_bits))}
     encoder.open()
     return encoder
 

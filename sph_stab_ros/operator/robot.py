@@ -31,6 +31,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sph_stab_ros.config import MODES
+from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.images.codec import (
     encode_jpeg, image_from_message, ImageError, video_codec)
 from sph_stab_ros.operator.link_status import link_status
@@ -38,7 +39,7 @@ from sph_stab_ros.operator.operated_robot import RobotError, Watcher
 from sph_stab_ros.operator.pairing import (
     Pairing, Picture, StampedOrientations, UnitQuaternion)
 from sph_stab_ros.ros.diagnostics import ThrottledLog
-from sph_stab_ros.ros.messages import rotation_from_message, stamp_ns
+from sph_stab_ros.ros.messages import rotation_from_message
 from sph_stab_ros.ros.topics import compressed_topic, subscribe_to_images
 from sph_stab_ros.ros.worker import Worker
 from std_msgs.msg import Header

@@ -21,7 +21,7 @@ from time import monotonic
 
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.operator.flow import VideoFlow
-from sph_stab_ros.operator.h264 import H264Encoder
+from sph_stab_ros.operator.h264 import H264Encoder, SOFTWARE
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.rate_control import MIN_BIT_RATE
 
@@ -32,7 +32,7 @@ UP_BIT_RATE = 2.2e6
 FIRST_PERIOD_S, MAX_PERIOD_S, SMOOTHING = 1 / 30, 1., 0.1
 
 
-class Pace:
+class Rhythm:
     """How often something happens: ``period_s`` is smoothed."""
 
     def __init__(self, clock: Callable[[], float] = monotonic) -> None:
@@ -54,17 +54,19 @@ class Rung:
 
     Its bit rate is that of the slowest, but not less than ``min_bit_rate``: below that the browser
     has to go down, so that what one can do to others is bounded. All methods are for the event
-    loop's thread; ``warn`` logs a text, before which comes the kind of event.
+    loop's thread; ``warn`` logs a text, before which comes the kind of event, from any thread.
+    The encoder may be one in hardware.
     """
 
-    def __init__(self, divisor: int, min_bit_rate: float,
-                 warn: Callable[[str, str], object]) -> None:
+    def __init__(self, divisor: int, min_bit_rate: float, warn: Callable[[str, str], object],
+                 encoder_name: str) -> None:
         self._divisor, self._min_bit_rate, self._warn = divisor, min_bit_rate, warn
+        self._encoder_name = encoder_name
         self._flows: list[VideoFlow] = []
         self._next: tuple[int, Picture] | None = None
         self._work: asyncio.Task[None] | None = None
         self._encoder: H264Encoder | None = None
-        self._pace = Pace()
+        self._rhythm = Rhythm()
         self._thread = ThreadPoolExecutor(1, f'h264_{divisor}')
 
     def __contains__(self, flow: VideoFlow) -> bool:
@@ -108,13 +110,13 @@ class Rung:
         loop = asyncio.get_running_loop()
         while self._next and self._flows:
             (sequence, picture), self._next = self._next, None
-            self._pace.step()
+            self._rhythm.step()
             bit_rate = max(self._min_bit_rate, min(flow.rate.bit_rate for flow in self._flows))
             wants_key = any(flow.needs_key for flow in self._flows)
             try:
                 data, is_key, source_size = await loop.run_in_executor(
                     self._thread, self._encode, picture.data, bit_rate,
-                    self._pace.period_s, wants_key)
+                    self._rhythm.period_s, wants_key)
             except ImageError as error:
                 self._warn(error.reason, f'picture left out, {error}')
                 continue
@@ -129,17 +131,17 @@ class Rung:
                 ) -> tuple[bytes, bool, tuple[int, int]]:
         """Encode a picture, in the thread; return also the size of the file's."""
         if self._encoder is None:
-            self._encoder = H264Encoder(self._divisor)
+            self._encoder = H264Encoder(self._divisor, self._encoder_name, self._warn)
         return (*self._encoder.encode(file, bit_rate, period_s, wants_key),
                 self._encoder.source_size)
 
 
 class Video:
-    """Has two rungs and moves browsers to that which they can take; ``warn`` as of a Rung."""
+    """Has two rungs and moves browsers to that which they can take; arguments as of a Rung."""
 
-    def __init__(self, warn: Callable[[str, str], object]) -> None:
-        self._full = Rung(1, MIN_FULL_BIT_RATE, warn)
-        self._half = Rung(2, MIN_BIT_RATE, warn)
+    def __init__(self, warn: Callable[[str, str], object], encoder_name: str = SOFTWARE) -> None:
+        self._full = Rung(1, MIN_FULL_BIT_RATE, warn, encoder_name)
+        self._half = Rung(2, MIN_BIT_RATE, warn, encoder_name)
         self._flows: list[VideoFlow] = []
 
     def add(self, flow: VideoFlow) -> None:

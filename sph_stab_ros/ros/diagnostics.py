@@ -23,7 +23,7 @@ from sph_stab_ros.geometry.masks import share_of_sphere
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.ros.cpu_meter import CpuMeter
-from sph_stab_ros.stabilization.pipeline import StabilizationEvent, StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent, StabilizedFrame
 from sph_stab_ros.tracking import Tracker, TrackingStatus
 
 LOG_PERIOD_S = 5.0
@@ -67,7 +67,7 @@ class Diagnostics:
         self._no_gravity = ''
         self._uncertainty_rad: float | None = None
         self._keyframes: int | None = None
-        self._still_pixels: Mask | None = None
+        self._body_mask: Mask | None = None
         # The rotation vector in radians, and its covariance.
         self._lens_misalignment: tuple[Vector, Covariance] | None = None
         self._last_refusal: str | None = None
@@ -94,7 +94,7 @@ class Diagnostics:
             self._frames_in_period += 1
             self._uncertainty_rad = stabilized.uncertainty_rad
             self._keyframes = getattr(tracker, 'keyframes_kept', None)
-            self._still_pixels = getattr(tracker, 'body_mask', None)
+            self._body_mask = getattr(tracker, 'body_mask', None)
             self._lens_misalignment = getattr(tracker, 'lens_misalignment', None)
         for event in stabilized.events:
             self.event(event.name.lower(), self._no_gravity
@@ -177,8 +177,8 @@ class Diagnostics:
             values['uncertainty_deg'] = f'{np.rad2deg(self._uncertainty_rad):.3f}'
         if self._keyframes is not None:
             values['keyframes'] = self._keyframes
-        if self._still_pixels is not None:
-            values['still_percent'] = f'{100 * share_of_sphere(self._still_pixels):.1f}'
+        if self._body_mask is not None:
+            values['still_percent'] = f'{100 * share_of_sphere(self._body_mask):.1f}'
         if self._lens_misalignment is not None:
             apart, covariance = self._lens_misalignment
             values['lens_misalignment_deg'] = ' '.join(f'{one:.3f}' for one in np.rad2deg(apart))

@@ -17,17 +17,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import fill_message
 from sph_stab_ros.stabilization.steering import Rates
 
 # The same as tf2's.
 QUATERNION_TOLERANCE = 0.01
-
-
-def stamp_ns(stamp: Any) -> int:
-    """Return a builtin_interfaces Time in nanoseconds."""
-    return stamp.sec * NS_PER_S + stamp.nanosec
 
 
 @cache

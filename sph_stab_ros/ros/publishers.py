@@ -22,7 +22,7 @@ from sph_stab_ros.ros.views import View
 from sph_stab_ros.stabilization.outputs import (
     COMPRESSED, fits_into_tree, orientation_outputs, Output, picture_outputs, topics,
     TRANSFORMS_TOPIC)
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 
 # Orientations are small, and who records them wants them all.
 DEPTHS = {'orientation': 10, 'orientation_covariance': 10, 'virtual_orientation': 10,

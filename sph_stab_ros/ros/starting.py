@@ -14,6 +14,7 @@ import sys
 from typing import TypeVar
 
 import rclpy
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from sph_stab_ros.command_line import one_line
@@ -22,21 +23,24 @@ from sph_stab_ros.command_line.process_setup import set_up_process
 Parsed = TypeVar('Parsed')
 
 
-def start_ros(name: str, argv: list[str] | None, parse: Callable[[list[str]], Parsed]
-              ) -> Parsed | None:
+def start_ros(name: str, argv: list[str] | None, parse: Callable[[list[str]], Parsed],
+              ended_by_signals: bool = True) -> Parsed | None:
     """
     Start ROS with its arguments in ``argv``, and return what ``parse`` makes of all others.
 
     The first of ``argv``, ``sys.argv`` by default, is the program's name. None after a line on
-    stderr where ROS does not start. SIGINT and SIGTERM shut ROS down.
+    stderr where ROS does not start. SIGINT and SIGTERM shut ROS down, unless told otherwise.
     """
     try:
         parsed = parse(remove_ros_args(argv)[1:])
-        # rclpy's handler ends it; another one on top could come at any time, the second one while
-        # a node is destroyed.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        handlers = SignalHandlerOptions.NO
+        if ended_by_signals:
+            # rclpy's handler ends it; another one on top could come at any time, the second one
+            # while a node is destroyed.
+            handlers = SignalHandlerOptions.ALL
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
         set_up_process()
-        rclpy.init(args=argv)
+        rclpy.init(args=argv, signal_handler_options=handlers)
     except RuntimeError as error:
         print(f'{name}: cannot start: {one_line(error)}', file=sys.stderr)
         return None

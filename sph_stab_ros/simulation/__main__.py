@@ -16,6 +16,7 @@ import sys
 from typing import Any
 
 from sph_stab_ros.command_line import Parser, run
+from sph_stab_ros.command_line.arguments import whole_number
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
 from sph_stab_ros.recording import RecordingError
@@ -56,12 +57,13 @@ def parser() -> Parser:
                         help='where in the flight to start (default: %(default)s)')
     result.add_argument('--every', type=int, default=1, metavar='N',
                         help='take every N-th frame only (default: %(default)s)')
-    result.add_argument('--frames-limit', type=int, metavar='N', help='number of frames to write')
+    result.add_argument('--frames-limit', type=int, metavar='N',
+                        help='number of frames to write (default: all)')
     result.add_argument('--width', type=int, default=640, metavar='PX',
                         help='of the pictures, a multiple of 4 (default: %(default)s)')
-    result.add_argument('--quality', type=int, default=80, metavar='1-100',
+    result.add_argument('--quality', type=whole_number(1, 100), default=80, metavar='1-100',
                         help='of the JPEG compression (default: %(default)s)')
-    result.add_argument('--seed', type=int, default=0,
+    result.add_argument('--seed', type=whole_number(0), default=0,
                         help='of the room, noise and synthetic motion (default: %(default)s)')
     result.add_argument('--hard', action='append', choices=HARD, default=[],
                         help='difficulty, may be repeated')
@@ -77,10 +79,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         command_line.error(f'{args.flight} needs --logs')
     if args.width < 16 or args.width % 4:
         command_line.error('--width must be a multiple of 4 and at least 16')
-    if not 1 <= args.quality <= 100:
-        command_line.error('--quality must be within 1 and 100')
-    if args.seed < 0:
-        command_line.error('--seed must not be negative')
     if args.frames is not None and args.hard:
         command_line.error('--hard is for rendering, not for --frames')
     return run(NAME, lambda: simulate(command_line, args))

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import ConfigError
 from sph_stab_ros.config.ros_yaml import read_yaml
-from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording, RecordingError
@@ -75,9 +75,8 @@ def recorded_directions(recording: Recording, topic: str) -> list[list[float]]:
         values = np.array((q.x, q.y, q.z, q.w), float)
         # A direction that is none is left out.
         if np.isfinite(values).all() and np.linalg.norm(values) > 0:
-            stamp = msg.header.stamp
-            stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or received_ns
-            rows[stamp_ns / NS_PER_S] = view_angles(Rotation.from_quat(values))[:2]
+            time_s = (stamp_ns(msg.header.stamp) or received_ns) / NS_PER_S
+            rows[time_s] = view_angles(Rotation.from_quat(values))[:2]
     if not rows:
         raise RecordingError(f'{recording.name} has no directions in {topic}')
     times_s = sorted(rows)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Choice, Stamps, Vector, Vectors
-from sph_stab_ros.geometry.conventions import NS_PER_S, R_CAMERA_BODY
+from sph_stab_ros.geometry.conventions import R_CAMERA_BODY, stamp_ns
 
 # No sensor goes further: 200 g, and more than the 4000 degrees/s of the fastest gyros.
 MAX_FORCE_M_S2 = 2000.
@@ -75,8 +75,7 @@ def imu_sample(msg: Any, received_ns: int) -> ImuSample:
         rate = None
     if force is rate is None:
         raise ImuError(NEITHER)
-    stamp_ns = msg.header.stamp.sec * NS_PER_S + msg.header.stamp.nanosec
-    return ImuSample(stamp_ns or received_ns, _xyz(force), _xyz(rate))
+    return ImuSample(stamp_ns(msg.header.stamp) or received_ns, _xyz(force), _xyz(rate))
 
 
 def _xyz(vector: Any) -> Vector | None:

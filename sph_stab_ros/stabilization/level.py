@@ -42,7 +42,6 @@ MIN_START_S = 0.1
 APPROACH_S = 1.
 MAX_RATE_RAD_S = np.deg2rad(10.)
 
-
 # What a force of gravity looks like in g.
 IN_G = (0.7, 1.3)
 

@@ -18,8 +18,9 @@ from sph_stab_ros.config import LOCK, StabilizerConfig
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.lookahead import smooth
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame, Stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.recording_loop import FrameProcessor
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import MakeTracker
 from sph_stab_ros.tracking.offline import TwoPasses
 from sph_stab_ros.tracking.offline.two_passes import Progress

@@ -24,7 +24,8 @@ from sph_stab_ros.config import frame_in_tf, NodeConfig, ViewConfig
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.images.front_marker import mark_sphere, mark_view
 from sph_stab_ros.recording import messages
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame, view_direction
+from sph_stab_ros.stabilization.pipeline import view_direction
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.stabilization.steering import Look
 
 TRANSFORMS_TOPIC = '/tf'

@@ -10,101 +10,35 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
-from sph_stab_ros.geometry.arrays import Covariance, Image, Vector
+from sph_stab_ros.geometry.arrays import Covariance, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.geometry.masks import common
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
-from sph_stab_ros.geometry.rotations import rotate_covariance, standard_deviation_rad
-from sph_stab_ros.geometry.warp import equirect_warp, perspective_warp, view_rotation
+from sph_stab_ros.geometry.rolling_shutter import RollingShutter, row_shares
+from sph_stab_ros.geometry.rotations import rotate_covariance
+from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.lens_matching import LensMatcher
 from sph_stab_ros.images.sphere import as_sphere
 from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
 from sph_stab_ros.stabilization.imu_history import ImuHistory
 from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError, why_no_force
+from sph_stab_ros.stabilization.readout_turn import ReadoutTurn
 from sph_stab_ros.stabilization.smoothing import Smoother
+from sph_stab_ros.stabilization.stabilized_frame import (
+    LONG_GAP_S, StabilizationEvent, StabilizedFrame)
 from sph_stab_ros.tracking import (
-    make_tracker, MakeTracker, TrackedOrientation, Tracker, TrackingStatus, working_width)
+    make_tracker, MakeTracker, TrackedOrientation, Tracker, working_width)
 
-# Without a frame for so long, motion in between is guesswork.
-LONG_GAP_S = 1.0
 # Two seconds of a fast IMU.
 IMU_INBOX_SIZE = 2000
-
-
-class StabilizationEvent(Enum):
-    """Something about a frame that its user should hear of; the frame was used all the same."""
-
-    RESIZED = 'the image size changed; tracking starts anew from the last image'
-    STAMP_NOT_INCREASING = 'the stamp is not later than the one before'
-    GAP = f'no frame for more than {LONG_GAP_S:g} s'
-    NO_GRAVITY = f'no usable force from the IMU for more than {LONG_GAP_S:g} s to level by'
-
-
-@dataclass(frozen=True)
-class StabilizedFrame:
-    """
-    A frame with its orientation; pictures are computed when they are asked for.
-
-    They are those of the virtual camera, of orientation ``R_world_virtual``.
-    """
-
-    frame: Frame
-    R_world_camera: Rotation
-    status: TrackingStatus
-    events: tuple[StabilizationEvent, ...] = ()
-    # As TrackedOrientation's.
-    covariance: Covariance | None = None
-    R_world_virtual: Rotation = field(default_factory=Rotation.identity)
-    # Of the frame's image; None where it is equirectangular.
-    projection: Projection | None = None
-    # What is known of the cause of NO_GRAVITY.
-    why_no_gravity: str = ''
-
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of the input frame in nanoseconds."""
-        return self.frame.stamp_ns
-
-    @property
-    def uncertainty_rad(self) -> float | None:
-        """One standard deviation about the least certain axis; None where it is not known."""
-        return None if self.covariance is None else standard_deviation_rad(self.covariance)
-
-    @property
-    def R_camera_virtual(self) -> Rotation:
-        """Return what turns the virtual camera's bearings into the camera's."""
-        return self.R_world_camera.inv() * self.R_world_virtual
-
-    def sphere(self) -> Image:
-        """Return the virtual camera's equirectangular image, as fine as the input."""
-        return self.seen_along(self.R_camera_virtual)
-
-    def view(
-            self, R_virtual_view: Rotation, hfov_rad: float, size_wh: tuple[int, int]) -> Image:
-        """Return a perspective image along a direction of the virtual camera's."""
-        return self.seen_along(self.R_camera_virtual * R_virtual_view, hfov_rad, size_wh)
-
-    def seen_along(self, R_camera_target: Rotation, hfov_rad: float | None = None,
-                   size_wh: tuple[int, int] | None = None) -> Image:
-        """Return what a camera turned against this one sees: the sphere, or a perspective view."""
-        image = self.frame.image
-        if hfov_rad is None:
-            width = self.projection.sphere_width if self.projection else image.shape[1]
-            warp = equirect_warp(width)
-        else:
-            assert size_wh is not None, 'a perspective view has a size'
-            warp = perspective_warp(float(hfov_rad), *size_wh)
-        return warp(image, R_camera_target, self.projection)
 
 
 class Stabilizer:
@@ -115,9 +49,9 @@ class Stabilizer:
     ----------
     config : StabilizerConfig
     make_tracker : callable
-        Returns the Tracker to use, from the same arguments as ``tracking.make_tracker``, of which
-        the last is given where pictures show a part of the sphere only: the place for an estimator
-        of your own.
+        Returns the Tracker to use, from the same arguments as ``tracking.make_tracker``: the place
+        for an estimator of your own. ``seen`` is given where pictures show a part of the sphere
+        only, ``row_shares`` where the shutter rolls.
 
     """
 
@@ -132,6 +66,7 @@ class Stabilizer:
         self._gravity = Gravity()
         self._leveler = Leveler()
         self._smoother = Smoother()
+        self._readout_turn = ReadoutTurn()
         self._lens_matcher = LensMatcher()
         self.config = config
         self.reset()
@@ -152,6 +87,7 @@ class Stabilizer:
         self._gravity.reset()
         self._leveler.reset()
         self._smoother.reset()
+        self._readout_turn.reset()
         # Of the start and of the last frame; None where it is not known.
         self._start_covariance: Covariance | None = np.zeros((3, 3))
         self._covariance: Covariance | None = self._start_covariance
@@ -204,7 +140,7 @@ class Stabilizer:
         events = tuple(self._events(frame))
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
-            tracker = self._started(frame.layout)
+            tracker = self._started(frame.size_wh[1], frame.layout)
         self._take_in_imu(frame.time_ns)
         tracked = self._track(tracker, frame, self._projection)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
@@ -218,7 +154,7 @@ class Stabilizer:
         self._last = frame
         why = self._why_no_gravity(frame) if StabilizationEvent.NO_GRAVITY in events else ''
         return StabilizedFrame(frame, R_world_camera, tracked.status, events, covariance,
-                               R_world_virtual, self._projection, why)
+                               R_world_virtual, self._as_read(frame), why)
 
     def settle(self) -> None:
         """Do what the last frame did not have to wait for; the next one will do it otherwise."""
@@ -238,14 +174,18 @@ class Stabilizer:
         if self.config.level == IMU and self._gravity.age_s(frame.clock_ns) > LONG_GAP_S:
             yield StabilizationEvent.NO_GRAVITY
 
-    def _started(self, layout: Layout | None) -> Tracker:
+    def _started(self, height: int, layout: Layout | None) -> Tracker:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
         width = min(working_width(self.config.tracker), self._projection.sphere_width)
         part = common(self._projection.seen(width), layout.seen(width) if layout else None)
         seen = () if part is None else (part,)
+        rolling = {}
+        if self.config.tracker.rolling_shutter_s:
+            self._row_shares = row_shares(self._projection, height)
+            rolling['row_shares'] = self._row_shares
         self._working_width = width
         tracker = self._tracker = self._make_tracker(
-            self.config.tracker, width, self._gyro_rotation, *seen)
+            self.config.tracker, width, self._gyro_rotation, *seen, **rolling)
         self._R_origin_start = self._R_origin_camera
         self._start_covariance = self._covariance
         if self._last is not None:
@@ -276,6 +216,14 @@ class Stabilizer:
             self._gravity.weigh(frame.clock_ns, self._R_origin_camera, self._imu)
             up = self._gravity.up
         return self._leveler.update(frame.time_ns, self._R_origin_camera, up)
+
+    def _as_read(self, frame: Frame) -> Projection:
+        """Return how the picture shows the sphere, also where its rows were read in turn."""
+        readout_s = self.config.tracker.rolling_shutter_s
+        if not readout_s:
+            return self._projection
+        return RollingShutter(self._projection, self._row_shares, self._readout_turn.update(
+            frame.time_ns, self._R_origin_camera, readout_s))
 
     def _why_no_gravity(self, frame: Frame) -> str:
         heard_ns = self._heard_imu_ns

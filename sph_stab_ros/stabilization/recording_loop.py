@@ -26,8 +26,8 @@ from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.stabilization.imu import ImuSample
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
 from sph_stab_ros.stabilization.recorded_imu import RecordedImu
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking.offline.grey_spool import SpoolError
 
 logger = logging.getLogger(__name__)

@@ -10,13 +10,14 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import cache
 from itertools import count
 import logging
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from sph_stab_ros.config import EncoderConfig, Settings
+from sph_stab_ros.config import EncoderConfig, H264, Settings
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.trajectory import tum_line
@@ -25,7 +26,7 @@ from sph_stab_ros.recording import Recording
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, fits_into_tree, orientation_outputs, picture_outputs)
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 
 logger = logging.getLogger(__name__)
 
@@ -47,7 +48,8 @@ def video_sink(path: Path, force: bool, stack: ExitStack, recording: Recording, 
     """
     Return a sink that writes ``picture(stabilized)`` into a video file, with the sound.
 
-    Of every ``speed`` frames one is shown, so many times as fast; then there is no sound.
+    Of every ``speed`` frames one is shown, so many times as fast; then there is no sound. Pictures
+    of more than eight bits are drawn with all of them, but for H.264.
     """
     from sph_stab_ros.recording.video import VideoRecording
     from sph_stab_ros.recording.video_writer import VideoWriter
@@ -56,10 +58,19 @@ def video_sink(path: Path, force: bool, stack: ExitStack, recording: Recording, 
     writer = stack.enter_context(VideoWriter(
         stack.enter_context(partial_output(path, force)), spheres, sound, is_all, encoder))
     numbers = count()
+    keeps_depth = encoder.codec_for(True) != H264
 
     def write(s: StabilizedFrame) -> None:
-        if next(numbers) % speed == 0:
-            writer.write(picture(s), s.frame.time_ns // speed, s.frame.colour)
+        number = next(numbers)
+        if number % speed:
+            return
+        deep = s.frame.deep_image if keeps_depth or not number else None
+        if deep is not None and not keeps_depth:
+            logger.warning("%s: H.264 is written with eight bits of the recording's; --codec h265 "
+                           'or av1 keeps ten', path.name)
+            deep = None
+        shown = s if deep is None else replace(s, frame=replace(s.frame, source=deep))
+        writer.write(picture(shown), s.frame.time_ns // speed, s.frame.colour)
     return write
 
 

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.rolling_shutter import rate_at_end
 from sph_stab_ros.tracking.base import GyroRotation
 
 
@@ -89,6 +90,23 @@ class MotionModel:
         """Return the position (3,) expected."""
         elapsed_s = self._options.inertia * self.trusted_s(stamp_ns)
         return self.position + elapsed_s * self._velocity_per_s
+
+    def velocities_at(self, stamp_ns: int, R_world_camera: Rotation,
+                      position: Vector) -> tuple[Vector, Vector]:
+        """
+        Return the angular velocity in rad/s and the velocity per second at the next pose.
+
+        Both (3,) in the camera's frame.
+        """
+        elapsed_s, turn_rate_rad_s = self.trusted_s(stamp_ns), self._angular_velocity_rad_s
+        if not elapsed_s:
+            return np.zeros(3), np.zeros(3)
+        turn: Vector = (self.R_world_camera.inv() * R_world_camera).as_rotvec() / elapsed_s
+        velocity: Vector = (position - self.position) / elapsed_s
+        if turn_rate_rad_s is not None:
+            turn = rate_at_end(turn, turn_rate_rad_s)
+            velocity = rate_at_end(velocity, self._velocity_per_s)
+        return turn, R_world_camera.inv().apply(velocity)
 
     def predicted_rotation(self, stamp_ns: int) -> Rotation:
         """Return the turn R_last_camera expected."""

@@ -20,7 +20,7 @@ from sph_stab_ros.evaluation.injection import (
     injected_rotations, ShakenStabilizer, turned, turned_world)
 from sph_stab_ros.geometry.masks import load_mask
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import TrackingStatus
 
 from synthetic import textured_sphere

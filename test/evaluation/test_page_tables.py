@@ -40,6 +40,12 @@ def folder(tmp_path):
     (tmp_path / 'known.json').write_text(json.dumps({
         'recording': 'known', 'injected_seed': 7,
         'estimators': {'anchored': figures(1), 'anchored/offline': figures(2)}}))
+    (tmp_path / 'coverage.json').write_text(json.dumps({'files': {
+        f'package/{name}.py': {'summary': {
+            'covered_lines': lines, 'num_statements': 10, 'covered_branches': 0,
+            'num_branches': branches, 'percent_covered_display': '7'}}
+        for name, lines, branches in (
+            ('run', 9, 2), ('deep/one', 1, 0), ('deep/down/two', 4, 0))}}))
     return tmp_path
 
 
@@ -54,6 +60,7 @@ def folder(tmp_path):
      '| known, turned by seed 7 | 4.000, 5.000° | 8.000, 10.000° | 0.700, 0.900° | '
      '1.400, 1.800° |'),
     ('offline known known', '| **mean of all** | 4.000° | 8.000° | 0.700° | 1.400° |'),
+    ('covered coverage', '| `deep` | 25 % | – |\n| executables | 90 % | 0 % |'),
     ('injected drone walk', '| `pts` | 7 | – | `lat:-90,-60` | 22.0° | 8.00, 10.00° |'),
 ])
 def test_tables_are_filled_in_between_their_marks_only(folder, block, said):

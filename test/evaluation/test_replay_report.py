@@ -21,7 +21,7 @@ from sph_stab_ros.evaluation.replay_log import MOST_THUMBNAILS, ReplayLog
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.replay import main
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking.base import TrackingStatus
 
 OUTSIDE = {'src', 'href', 'data', 'action', 'poster', 'srcset'}

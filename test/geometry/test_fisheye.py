@@ -24,7 +24,8 @@ from sph_stab_ros.geometry.warp import (
     equirect_warp, perspective_rays, perspective_warp, view_rotation)
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.side_by_side import side_by_side
-from sph_stab_ros.stabilization.pipeline import StabilizationEvent, Stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent
 from synthetic import angle_deg, textured_sphere
 
 THETA_S = FisheyeConfig()

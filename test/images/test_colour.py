@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 from sph_stab_ros.images.colour import (
-    BT2020, BT470BG, BT709, Colour, colour_of, from_bgr, grey_from_luma, MATRICES, SMPTE170M,
-    SMPTE240M, to_bgr, UNSPECIFIED)
+    BT2020, BT470BG, BT709, Colour, colour_of, DEEP_BITS, from_bgr, grey_from_luma, MATRICES,
+    SMPTE170M, SMPTE240M, to_bgr, UNSPECIFIED)
 
 # Of limited range with eight bits, as test patterns print them.
 PRINTED = {
@@ -70,14 +70,18 @@ def test_colours_come_out_as_they_went_in(colour, bits):
 
 
 @pytest.mark.parametrize('colour', COLOURS, ids=str)
-def test_values_come_out_as_they_went_in(colour):
+@pytest.mark.parametrize('bits, bgr_bits', [(8, 8), (10, DEEP_BITS)])
+def test_values_come_out_as_they_went_in(colour, bits, bgr_bits):
     """What has been decoded is encoded with the same values; a picture of colours that exist."""
     bgr = np.random.default_rng(0).integers(0, 256, (20, 30, 3)).astype(np.uint8)
-    planes = [np.uint8(np.clip(np.rint(plane), 0, 255))
-              for plane in np.moveaxis(exact_yuv(bgr, colour), -1, 0)]
+    # The purest ones of full range have a chroma of one level more than there is.
+    bgr[0, :6] = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0], [255, 0, 255], [255] * 3]
+    planes = [np.clip(np.rint(plane), 0, 2 ** bits - 1).astype(
+        np.uint8 if bits == 8 else np.uint16)
+        for plane in np.moveaxis(exact_yuv(bgr, colour, bits), -1, 0)]
     large = [cv2.resize(plane, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
              for plane in planes]
-    y, cb, cr = from_bgr(to_bgr(large, (60, 40), colour), colour)
+    y, cb, cr = from_bgr(to_bgr(large, (60, 40), colour, bits, bgr_bits), colour)
     for found, expected in zip((y, cb, cr), (large[0], *planes[1:])):
         assert np.abs(found.astype(int) - expected).max() <= 1
 

@@ -19,6 +19,7 @@ pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 av = pytest.importorskip('av', reason='PyAV is not installed')
 from operator_site import picture, striped_jpeg  # noqa: E402, I100
 from sph_stab_ros.images.codec import ImageError  # noqa: E402
+from sph_stab_ros.operator import h264  # noqa: E402
 from sph_stab_ros.operator.flow import MAX_VIDEO_UNDRAWN, VideoFlow  # noqa: E402
 from sph_stab_ros.operator.h264 import H264Encoder, MAX_COLUMNS  # noqa: E402
 from sph_stab_ros.operator.pairing import Picture  # noqa: E402
@@ -110,6 +111,46 @@ def test_the_bit_rate_is_what_was_asked_for_and_changes(rate_hz):
             bits.append(8 * len(encoder.encode(file, bit_rate, 1 / rate_hz, False)[0]))
         assert 0.6 < np.mean(bits[20:]) * rate_hz / bit_rate < 1.1
         assert max(bits) < 0.5 * bit_rate
+
+
+def test_where_hardware_does_not_open_software_encodes():
+    """From the first picture on, with one line."""
+    said = []
+    encoder = H264Encoder(1, 'h264_none', lambda kind, text: said.append(text))
+    for n in range(3):
+        assert encoder.encode(striped_jpeg(n), 4e6, PERIOD_S, wants_key=n == 2)[1] == (n in (0, 2))
+    assert said == ['h264_none cannot be used here: it is not in this PyAV; libx264 encodes']
+
+
+def test_hardware_that_keeps_pictures_back_is_given_up(monkeypatch):
+    """Whoever drives by them cannot wait; x265 looks ahead."""
+    monkeypatch.setitem(h264.LIVE_ENCODERS, 'libx265', {'x265-params': 'log-level=none'})
+    said = []
+    encoder = H264Encoder(1, 'libx265', lambda kind, text: said.append(text))
+    data, is_key = encoder.encode(striped_jpeg(), 4e6, PERIOD_S, wants_key=False)
+    assert is_key and len(said) == 1
+    decoder = av.CodecContext.create('h264', 'r')
+    frame, = decoder.decode(av.Packet(data)) or decoder.decode(None)
+    assert frame.width == 128 and 'libx265 cannot be used here' in said[0]
+
+
+def test_hardware_that_gives_each_picture_at_once_is_used(monkeypatch):
+    """Told that they are of full range; MPEG-4 stands in for it."""
+    monkeypatch.setitem(h264.LIVE_ENCODERS, 'mpeg4', {'g': '300'})
+    said = []
+    encoder, decoder = H264Encoder(1, 'mpeg4', lambda kind, text: said.append(text)), \
+        av.CodecContext.create('mpeg4', 'r')
+    decoder.thread_count = 1
+    shown = []
+    for n in range(6):
+        data, is_key = encoder.encode(striped_jpeg(n), 4e6, PERIOD_S, wants_key=n == 4)
+        assert is_key == (n in (0, 4))
+        shown += decoder.decode(av.Packet(data))
+    shown += decoder.decode(None)
+    for n, frame in enumerate(shown):
+        wanted = cv2.imdecode(np.frombuffer(striped_jpeg(n), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert np.abs(frame.to_ndarray()[:64].astype(float) - wanted).mean() < 3
+    assert len(shown) == 6 and not said
 
 
 # Rate control.

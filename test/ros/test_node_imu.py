@@ -17,9 +17,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from simulated_imu import imu_samples
 from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.simulation import flights
-from sph_stab_ros.simulation.imu import imu_samples
 from sph_stab_ros.stabilization.imu import ImuSample, mount_rotation
 from sph_stab_ros.stabilization.level import GRAVITY_M_S2, heading, UP
 from synthetic import angle_deg, textured_sphere

@@ -21,7 +21,7 @@ from sph_stab_ros.images.codec import fill_image
 from sph_stab_ros.recording.messages import camera_info, orientation, pose
 from sph_stab_ros.ros.mailbox import Mailbox
 from sph_stab_ros.ros.worker import Worker
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.stabilization.steering import Rates
 from tiny_recordings import START_NS, textured_sphere
 

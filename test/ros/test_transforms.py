@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import NodeConfig
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import TrackingStatus
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')

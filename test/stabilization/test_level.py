@@ -14,17 +14,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from simulated_imu import imu_samples
 from sph_stab_ros.config import ImuConfig, StabilizerConfig, TrackerConfig
 from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.simulation import flights
-from sph_stab_ros.simulation.imu import imu_samples
 from sph_stab_ros.stabilization.imu import (
     ImuError, ImuSample, ImuSamples, mount_rotation, NEITHER)
 from sph_stab_ros.stabilization.imu_history import ImuHistory
 from sph_stab_ros.stabilization.level import (
     Gravity, GRAVITY_M_S2, heading, level_rotation, Leveler, LevelError, UP)
-from sph_stab_ros.stabilization.pipeline import StabilizationEvent, Stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent
 from sph_stab_ros.tracking import TrackingStatus
 from synthetic import angle_deg, textured_sphere, unit
 

@@ -18,7 +18,7 @@ from sph_stab_ros.config import NodeConfig, ViewConfig
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.outputs import (
     configured_camera, configured_look, orientation_outputs, picture_outputs, topics)
-from sph_stab_ros.stabilization.pipeline import StabilizedFrame
+from sph_stab_ros.stabilization.stabilized_frame import StabilizedFrame
 from sph_stab_ros.tracking import TrackingStatus
 from tiny_recordings import textured_sphere
 

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import options, StabilizerConfig, TrackerConfig
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.stabilization.pipeline import StabilizationEvent, Stabilizer, view_direction
+from sph_stab_ros.stabilization.pipeline import Stabilizer, view_direction
+from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent
 from sph_stab_ros.tracking import TrackingStatus
 from synthetic import angle_deg, textured_sphere
 

@@ -35,10 +35,14 @@ def waves(paint):
 
 
 def room(R_world_camera, position=(0, 0, 0), width=WIDTH, paint=COARSE):
-    """Return the grey sphere (width / 2, width) that a camera sees in a painted box."""
-    rays = bearing_grid(width) @ R_world_camera.as_matrix().T.astype(np.float32)
+    """
+    Return the grey sphere (width / 2, width) that a camera sees in a painted box.
+
+    Given as many orientations and positions (H, 3) as there are rows, the camera moves meanwhile.
+    """
+    rays = bearing_grid(width) @ R_world_camera.as_matrix().swapaxes(-1, -2).astype(np.float32)
     rays = np.where(np.abs(rays) < 1e-6, np.float32(1e-6), rays)
-    position = np.float32(position)
+    position = np.float32(position)[..., None, :]
     distance = ((np.sign(rays) * HALF_ROOM - position) / rays).min(axis=-1)
     vectors, phases = waves(paint)
     grey = np.sin((position + distance[..., None] * rays) @ vectors + phases).sum(axis=-1)

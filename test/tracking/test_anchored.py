@@ -15,8 +15,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.tracking.anchored.body_mask import BodyMask, BodyMaskOptions, VisibleWorld
-from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MapOptions
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.map_initialization import InitializationOptions
+from sph_stab_ros.tracking.anchored.map_options import MapOptions
 from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import TrackingStatus

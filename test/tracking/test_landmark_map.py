@@ -16,8 +16,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.equirect import pixels_from_bearings
-from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap, MapOptions
+from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.landmarks import Landmarks, Observations
+from sph_stab_ros.tracking.anchored.map_options import MapOptions
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import Loss
 from synthetic import angle_deg, random_rotation, textured_sphere, unit

@@ -16,9 +16,9 @@ the optical axis and its longitude grows to the right.
 
 import bpy
 import cv2
-from mathutils import Matrix
 from mathutils import Quaternion
 from movers import Mover
+from movers import pose_matrix
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -78,10 +78,8 @@ def setup(width, samples, readout_share=0.0):
 def follow(camera, flight):
     """Return the mover that keeps the camera on its flight."""
     def pose(t_s):
-        matrix = np.eye(4)
-        matrix[:3, :3] = (flight.R_mocap_camera(t_s) * R_OPTICAL_BLENDER).as_matrix()
-        matrix[:3, 3] = flight.p_mocap_camera(t_s)
-        return Matrix(matrix.tolist())
+        return pose_matrix(flight.R_mocap_camera(t_s) * R_OPTICAL_BLENDER,
+                           flight.p_mocap_camera(t_s))
     camera.cycles.motion_steps = 2
     return Mover(camera, pose)
 

@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sph_stab_ros.geometry.arrays import Grey, Image
+from sph_stab_ros.geometry.arrays import Grey, Image, Raster
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.colour import (
-    Colour, colour_of, grey_from_luma, resized, STANDARD, to_bgr)
+    Colour, colour_of, DEEP_BITS, grey_from_luma, resized, STANDARD, to_bgr)
 
 if TYPE_CHECKING:
     import av
@@ -68,12 +68,22 @@ class VideoPicture:
         if is_grey(self._picture):
             return self.grey()
         if is_yuv(self._picture):
-            picture, bits = self._planar
-            planes = [plane_of(picture, index, bits) for index in range(3)]
-            return self._upright(to_bgr(planes, self._square_wh, self.colour, bits))
+            return self._in_colours(8)
         width, height = self._square_wh
         image: Any = self._picture.to_ndarray(format=OTHER, width=width, height=height)
         return self._upright(image)
+
+    @cached_property
+    def deep_image(self) -> Raster | None:
+        """Return the picture in 16 bits, (H, W, 3); None where it has no more than eight."""
+        if is_grey(self._picture) or not is_yuv(self._picture) or self._planar[1] == 8:
+            return None
+        return self._in_colours(DEEP_BITS)
+
+    def _in_colours(self, bgr_bits: int) -> Raster:
+        picture, bits = self._planar
+        planes = [plane_of(picture, index, bits) for index in range(3)]
+        return self._upright(to_bgr(planes, self._square_wh, self.colour, bits, bgr_bits))
 
     def grey(self, width: int = 0) -> Grey:
         """Return the picture in grey, the same whether anybody looks at its colours or not."""

@@ -101,22 +101,22 @@ class VisibleWorld:
 
     def __init__(self, used: Mask | None, options: BodyMaskOptions) -> None:
         self._options = options
-        self.still = BodyMask(options)
+        self.body = BodyMask(options)
         self._used = used
-        self._brightest = np.zeros(self.still.mask.shape, np.uint8)
-        self._hidden = np.zeros_like(self.still.mask)
+        self._brightest = np.zeros(self.body.mask.shape, np.uint8)
+        self._hidden = np.zeros_like(self.body.mask)
 
     def update(self, grey: Grey, R_current_previous: Rotation | None) -> None:
         """Take in the next grey sphere (H, W); without a rotation it is the first one."""
-        self.still.update(grey, R_current_previous)
-        small = cv2.resize(grey, self.still.mask.shape[::-1], interpolation=cv2.INTER_AREA)
+        self.body.update(grey, R_current_previous)
+        small = cv2.resize(grey, self.body.mask.shape[::-1], interpolation=cv2.INTER_AREA)
         self._brightest = np.maximum(self._brightest, small)
         side_px, patch_px = self._options.min_black_px, self._options.patch_px
         black = pad_sphere((self._brightest <= self._options.black_grey).astype(np.uint8), side_px)
         black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((side_px, side_px), np.uint8))
         black = cv2.dilate(black, np.ones((patch_px, patch_px), np.uint8))
         inside = slice(side_px, -side_px)
-        self._hidden = self.still.mask | (black[inside, inside] > 0)
+        self._hidden = self.body.mask | (black[inside, inside] > 0)
 
     def shows(self, bearings: Bearings) -> Choice:
         """Tell along which bearings (N, 3) of the camera the world is to be seen."""

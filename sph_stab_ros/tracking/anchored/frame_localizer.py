@@ -83,16 +83,31 @@ class FrameLocalizer:
 
     def _where_expected(self, frame: PreparedFrame, stamp_ns: int) -> Localization | None:
         """Return the Localization near where the camera is expected, None without."""
-        motion, options = self._motion, self._options
+        motion = self._motion
         R_camera_last = align_thumbnails(
             self._last_thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
+        R_world_camera = motion.R_world_camera * R_camera_last.inv()
+        self._map.readout.move(*motion.velocities_at(
+            stamp_ns, R_world_camera, motion.position_at(stamp_ns)))
         if self._initializer is not None:
             return self._initializer.localize(
                 frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
+        localization = self._by_active(frame, stamp_ns, R_world_camera)
+        if localization is None or not self._map.readout.is_rolling:
+            return localization
+        # Once more: now it is known how the camera moved while the picture was read.
+        self._map.readout.move(*motion.velocities_at(
+            stamp_ns, localization.R_world_camera, localization.pose.position))
+        return self._by_active(frame, stamp_ns, localization.R_world_camera)
+
+    def _by_active(self, frame: PreparedFrame, stamp_ns: int,
+                   R_world_camera: Rotation) -> Localization | None:
+        """Return the Localization by all active landmarks from a guess, None without."""
+        motion, options = self._motion, self._options
         elapsed_s = motion.trusted_s(stamp_ns)
         return localize(
             self._map, np.flatnonzero(self._map.landmarks.active), frame.pyramid,
-            motion.R_world_camera * R_camera_last.inv(), motion.position_at(stamp_ns),
+            R_world_camera, motion.position_at(stamp_ns),
             max(options.motion.position_sigma_per_s * elapsed_s,
                 options.motion.min_position_sigma),
             self._scale, self._visible.shows, elapsed_s > options.max_fine_s,

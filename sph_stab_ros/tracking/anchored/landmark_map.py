@@ -8,7 +8,7 @@
 
 """What the tracker knows of its surroundings: keyframes, and the landmarks seen from them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,53 +17,17 @@ from sph_stab_ros.geometry.arrays import (
     Bearings, Choice, Covariance, Grey, Indices, Mask, Matrix, Values, Vector, Vectors)
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.images.codec import encode_jpeg
-from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Adjusted, BundleOptions
+from sph_stab_ros.tracking.anchored.bundle_adjustment import adjust, Adjusted
 from sph_stab_ros.tracking.anchored.bundle_window import Window
-from sph_stab_ros.tracking.anchored.corners import CornerOptions, find_corners
+from sph_stab_ros.tracking.anchored.corners import find_corners
 from sph_stab_ros.tracking.anchored.keyframe import Keyframe
-from sph_stab_ros.tracking.anchored.landmarks import LandmarkOptions, Landmarks, Observations
-from sph_stab_ros.tracking.anchored.lens_misalignment import (
-    apart, lens_equations, Lenses, LensOptions)
+from sph_stab_ros.tracking.anchored.landmarks import are_among, Landmarks, Observations
+from sph_stab_ros.tracking.anchored.lens_misalignment import apart, lens_equations, Lenses
+from sph_stab_ros.tracking.anchored.map_options import MapOptions
 from sph_stab_ros.tracking.anchored.patch_store import PatchStore
-from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
+from sph_stab_ros.tracking.anchored.patches import Patches, Pyramid
+from sph_stab_ros.tracking.anchored.readout import Readout
 from sph_stab_ros.tracking.anchored.thumbnail import Thumbnail
-
-
-@dataclass(frozen=True)
-class MapOptions:
-    """How much a map holds, and how it is adjusted."""
-
-    corners: CornerOptions = CornerOptions()
-    patches: PatchOptions = PatchOptions()
-    landmarks: LandmarkOptions = LandmarkOptions()
-    bundle: BundleOptions = BundleOptions()
-    lenses: LensOptions = LensOptions()
-    # That are looked for; with half of them errors grow by a tenth or so.
-    max_landmarks: int = 600
-    # Standard deviation in grey values of a patch that is worth it.
-    min_contrast: float = 4.0
-    # The unit of length is such that new landmarks are at distance 1 in the beginning; their
-    # inverse depth is known by this much (an inverse variance).
-    first_information: float = 0.3
-    # In a window all that was seen counts again; what was guessed at first then hardly does.
-    window_information: float = 0.03
-    # Errors of observations are alike from keyframe to keyframe: what they tell about depths
-    # counts half, and never makes them exact.
-    trusted_information: float = 0.5
-    max_information: float = 1e5
-    # Adjusted are the last keyframes; fixed, those others that saw most of the same landmarks.
-    # With fewer a narrow view drifts twice as fast.
-    adjusted_keyframes: int = 20
-    fixed_keyframes: int = 10
-    # However long the recording is; the newest of them stay whatever is near them.
-    max_keyframes: int = 48
-    recent_keyframes: int = 6
-    # A landmark whose observations are trusted less than this on average is none.
-    min_trust: float = 0.15
-    # When the lenses are known better by so much, all keyframes are adjusted anew.
-    lenses_changed_rad: float = np.deg2rad(0.03)
-    # The window's covariance takes observations for independent. Calibrated on simulated flights.
-    covariance_inflation: float = 6.0
 
 
 class LandmarkMap:
@@ -76,8 +40,8 @@ class LandmarkMap:
     and accurate monocular SLAM system*, IEEE Transactions on Robotics 31(5), 2015.
     """
 
-    def __init__(self, options: MapOptions) -> None:
-        self.options = options
+    def __init__(self, options: MapOptions, readout: Readout | None = None) -> None:
+        self.options, self.readout = options, readout or Readout()
         self.keyframes: list[Keyframe] = []
         self.lenses = Lenses(options.lenses)
         self._landmarks = Landmarks.none()
@@ -177,7 +141,9 @@ class LandmarkMap:
         """
         keyframe, options = self.keyframes[-1], self.options
         active = np.flatnonzero(self._landmarks.active)
-        there = self.lenses.as_seen(self.directions(active, keyframe.position) @ keyframe.R)
+        there = self.lenses.as_seen(self.readout.as_seen(
+            self.directions(active, keyframe.position) @ keyframe.R,
+            self._landmarks.inverse_depth[active]))
         x = find_corners(grey, free, there, options.max_landmarks - len(active),
                          options.patches.max_latitude_rad, options.corners)
         if not len(x):
@@ -192,7 +158,8 @@ class LandmarkMap:
                             1e-3) if len(active) else 1.
         self.add(Landmarks.new(
             self._next_landmark, keyframe.number,
-            (self.lenses.corrected(x[good]), east[good], south[good]), inverse_depth,
+            (self.readout.corrected(self.lenses.corrected(x[good]), inverse_depth), east[good],
+             south[good]), inverse_depth,
             options.first_information / inverse_depth ** 2, self._store.put(patches[good])))
 
     def add(self, landmarks: Landmarks) -> None:
@@ -200,6 +167,11 @@ class LandmarkMap:
         self._landmarks = Landmarks.joined((self._landmarks, landmarks))
         self._all_in_world = None
         self._next_landmark += len(landmarks)
+
+    def correct_first(self) -> None:
+        """Correct what the only keyframe shows by its read-out, once it is known how it moved."""
+        self._move_bearings(
+            self.readout.corrected(self._landmarks.x, self._landmarks.inverse_depth))
 
     def judge(self, rows: Indices, agreeing: Choice, inverse_depths: Values,
               for_good: bool = True) -> None:
@@ -235,7 +207,7 @@ class LandmarkMap:
     def _window(self, first: int, numbers: Indices) -> Window:
         """Return the Window of the keyframes from ``first`` on, and of landmarks by number."""
         keyframes, rows = self.keyframes, np.searchsorted(self._landmarks.number, numbers)
-        shared = [_are_among(one.observations.number, numbers) for one in keyframes]
+        shared = [are_among(one.observations.number, numbers) for one in keyframes]
         witnesses = np.argsort([-one.sum() for one in shared[:first]], kind='stable')
         used = [*sorted(witnesses[:self.options.fixed_keyframes]), *range(first, len(keyframes))]
         seen = Observations.joined([keyframes[i].observations[shared[i]] for i in used])
@@ -281,19 +253,15 @@ class LandmarkMap:
         """Correct all bearings known so far by a further rotation vector between the lenses."""
         if not rotvec.any():
             return
-        self._landmarks = replace(self._landmarks, x=apart(self._landmarks.x, rotvec))
-        self._all_in_world = None
+        self._move_bearings(apart(self._landmarks.x, rotvec))
         for one in self.keyframes:
             one.observations.y = apart(one.observations.y, rotvec)
+
+    def _move_bearings(self, x: Bearings) -> None:
+        self._landmarks, self._all_in_world = replace(self._landmarks, x=x), None
 
     def _forget(self, gone: Choice) -> None:
         """Let landmarks go, (N,) bool, with their patches."""
         self._store.give_back(self._landmarks.patch[gone])
         self._landmarks = self._landmarks[~gone]
         self._all_in_world = None
-
-
-def _are_among(numbers: Indices, others: Indices) -> Choice:
-    """Tell which of ascending numbers (N,) are among ascending others (M,), M > 0."""
-    place = np.minimum(np.searchsorted(others, numbers), len(others) - 1)
-    return others[place] == numbers

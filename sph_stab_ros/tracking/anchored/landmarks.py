@@ -134,3 +134,9 @@ class Observations(Table):
     def none(cls) -> 'Observations':
         """Return no observations at all."""
         return cls(np.empty(0, int), np.empty((0, 3)), np.empty((0, 2, 3)))
+
+
+def are_among(numbers: Indices, others: Indices) -> Choice:
+    """Tell which of ascending numbers (N,) are among ascending others (M,), M > 0."""
+    place = np.minimum(np.searchsorted(others, numbers), len(others) - 1)
+    return others[place] == numbers

@@ -181,12 +181,14 @@ def look_along(z: Vectors, landmark_map: LandmarkMap, rows: Indices, pyramid: Py
     distance = np.sqrt(np.einsum('ni,ni->n', z, z))
     b = z / distance[:, None]
     camera_axes = R_world_camera.as_matrix()
-    expected = landmark_map.lenses.as_seen(b @ camera_axes)
+    nearness = landmark_map.landmarks.inverse_depth[rows] / distance
+    expected = landmark_map.lenses.as_seen(
+        landmark_map.readout.as_seen(b @ camera_axes, nearness))
     seen = np.flatnonzero(
         (np.abs(expected[:, 1]) < np.sin(pyramid.options.max_latitude_rad)) & is_usable(expected)
         & (distance > options.min_distance) & (distance < options.max_distance))
     rows = rows[seen]
-    b, expected, distance = b[seen], expected[seen], distance[seen]
+    b, expected, distance, nearness = (one[seen] for one in (b, expected, distance, nearness))
     # Tangents go along from x to b without a twist.
     x, east, origins = landmark_map.in_world(rows)
     east -= (np.einsum('ni,ni->n', east, b)
@@ -198,9 +200,10 @@ def look_along(z: Vectors, landmark_map: LandmarkMap, rows: Indices, pyramid: Py
     found = ((correlation > options.min_correlation) & (last_step_px < options.max_last_step_px)
              & (np.linalg.norm(offsets, axis=1) * pyramid.px_per_rad() < options.max_offset_px))
     rows = rows[found]
-    offsets, expected, east, south = (one[found] for one in (offsets, expected, east, south))
-    y = landmark_map.lenses.corrected(
-        expected + offsets[:, :1] * east + offsets[:, 1:] * south)
+    offsets, expected, east, south, nearness = (
+        one[found] for one in (offsets, expected, east, south, nearness))
+    y = landmark_map.readout.corrected(landmark_map.lenses.corrected(
+        expected + offsets[:, :1] * east + offsets[:, 1:] * south), nearness)
     px_per_rad = min(pyramid.px_per_rad(), options.max_px_per_rad)
     sqrt_information = (patches.sqrt_information_px[landmarks.patch[rows]] * px_per_rad
                         @ np.stack((east, south), axis=1))

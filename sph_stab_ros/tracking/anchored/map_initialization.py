@@ -16,7 +16,7 @@ pose they speak for; and of several poses that one counts which holds in most pl
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -86,7 +86,11 @@ class MapInitializer:
         ``R_camera_last`` is a guess.
         """
         self.R_world_continued = None
-        self._first_ns = stamp_ns if self._first_ns is None else self._first_ns
+        if self._first_ns is None:
+            # By now it is known how the camera moved.
+            self._first_ns = stamp_ns
+            self._map.correct_first()
+            self._y = self._map.landmarks.x.copy()
         options = self._localization
         sigma = max(self._motion.position_sigma_per_s * (stamp_ns - self._first_ns) / NS_PER_S,
                     self._motion.min_position_sigma)
@@ -127,8 +131,7 @@ class MapInitializer:
         found, points = look_along(
             (R_world_camera * R_camera_last).apply(self._y[rows]), self._map, rows, pyramid,
             R_world_camera, is_usable, self._localization.search)
-        return found, replace(points, inverse_depths=np.ones(len(found)),
-                              information=np.full(len(found), self._map.options.first_information))
+        return found, points.as_new(self._map.options.first_information)
 
 
 def contested(poses: list[PoseEstimate], costs: Values, places_seen: int,

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 from sph_stab_ros.tracking.anchored.body_mask import BodyMaskOptions
 from sph_stab_ros.tracking.anchored.correction import CorrectionOptions
-from sph_stab_ros.tracking.anchored.landmark_map import MapOptions
 from sph_stab_ros.tracking.anchored.localization import LocalizationOptions
 from sph_stab_ros.tracking.anchored.map_initialization import InitializationOptions
+from sph_stab_ros.tracking.anchored.map_options import MapOptions
 from sph_stab_ros.tracking.anchored.relocalization import RelocalizationOptions
 from sph_stab_ros.tracking.anchored.thumbnail import ThumbnailOptions
 from sph_stab_ros.tracking.anchored.wide_baseline import WideBaselineOptions

@@ -57,6 +57,11 @@ class Points(Table):
     y: Bearings
     sqrt_information: Floats
 
+    def as_new(self, information: float) -> 'Points':
+        """Return these Points with ρ0 as if it were not known yet: 1, with this information."""
+        return replace(self, inverse_depths=np.ones(len(self.x)),
+                       information=np.full(len(self.x), information))
+
 
 @dataclass(frozen=True)
 class Loss:

@@ -32,6 +32,7 @@ from sph_stab_ros.tracking.anchored.landmarks import Observations
 from sph_stab_ros.tracking.anchored.localization import Localization, returning
 from sph_stab_ros.tracking.anchored.options import AnchoredOptions
 from sph_stab_ros.tracking.anchored.prepared_frame import PreparedFrame
+from sph_stab_ros.tracking.anchored.readout import Readout
 from sph_stab_ros.tracking.anchored.relocalization import Relocalizer
 from sph_stab_ros.tracking.base import (
     GyroRotation, no_gyro, status_of, TrackedOrientation, TrackingStatus)
@@ -51,20 +52,23 @@ class AnchoredTracker:
     gyro_rotation : callable
         Returns the turn ``R_from_to`` between two stamps, or None.
     options : AnchoredOptions
+    readout : Readout, optional
+        How the rows of pictures are read; all at once by default.
 
     """
 
     def __init__(self, used: Mask | None = None, max_prediction_s: float = 0.5,
                  gyro_rotation: GyroRotation = no_gyro,
-                 options: AnchoredOptions = AnchoredOptions()) -> None:
-        self._options, self._used = options, used
+                 options: AnchoredOptions = AnchoredOptions(),
+                 readout: Readout | None = None) -> None:
+        self._options, self._used, self._readout = options, used, readout or Readout()
         self._max_prediction_s, self._turn_between = max_prediction_s, gyro_rotation
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next frame's orientation is the new world."""
         options = self._options
-        self._map = LandmarkMap(options.landmark_map)
+        self._map = LandmarkMap(options.landmark_map, self._readout)
         self._visible = VisibleWorld(self._used, options.body_mask)
         self._motion = MotionModel(self._max_prediction_s, self._turn_between, options.motion)
         self._covariance: Covariance = np.zeros((3, 3))
@@ -76,7 +80,7 @@ class AnchoredTracker:
     @property
     def body_mask(self) -> Mask:
         """Pixels (80, 160) bool of the camera that stand still while the world turns."""
-        return self._visible.still.mask
+        return self._visible.body.mask
 
     @property
     def options(self) -> AnchoredOptions:
@@ -144,7 +148,7 @@ class AnchoredTracker:
             status_of(self._covariance), self._covariance)
 
     def settle(self) -> None:
-        """Do what the last orientation did not have to wait for: keyframes, and recognition."""
+        """Do what the last orientation did not have to wait for: keyframes, relocalisation."""
         # Taken off first: one that fails must not fail again with every frame to come.
         keyframe, self._keyframe_to_add = self._keyframe_to_add, None
         if keyframe:
@@ -182,7 +186,8 @@ class AnchoredTracker:
     def _start_map(self, frame: PreparedFrame, stamp_ns: int | None) -> None:
         """Start anew from here, in the orientation reached."""
         options = self._options
-        self._map = LandmarkMap(options.landmark_map)
+        self._readout.stand_still()
+        self._map = LandmarkMap(options.landmark_map, self._readout)
         self._motion.reset(stamp_ns)
         self._correction.reset()
         self._visible.update(frame.small, None)

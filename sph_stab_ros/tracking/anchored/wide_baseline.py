@@ -8,7 +8,7 @@
 
 """Where a camera is after a large step: by features, for which nothing need be expected."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,8 +72,7 @@ def locate_widely(landmark_map: LandmarkMap, grey: Grey, pyramid: Pyramid, used:
     if len(found) < max(localization.min_points, options.min_found * len(rows)):
         return None
     if len(landmark_map.keyframes) == 1:
-        points = replace(points, inverse_depths=np.ones(len(found)),
-                         information=np.full(len(found), landmark_map.options.first_information))
+        points = points.as_new(landmark_map.options.first_information)
     step = -options.step * R_world_camera.apply(estimate.t_current)
     guesses = [(R_world_camera.inv(), keyframe.position + way * step) for way in (1, 0, 3, -1)]
     poses, costs = fit_poses_among_movers(

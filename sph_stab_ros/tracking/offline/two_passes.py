@@ -9,12 +9,13 @@
 """The whole of offline tracking: which passes there are, and what comes out."""
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import TrackerConfig
-from sph_stab_ros.geometry.arrays import Grey, Mask
+from sph_stab_ros.geometry.arrays import Grey, Mask, Plane
 from sph_stab_ros.tracking.anchored.tracker import AnchoredTracker
 from sph_stab_ros.tracking.base import GyroRotation, TrackedOrientation, Tracker
 from sph_stab_ros.tracking.factory import make_tracker
@@ -42,10 +43,13 @@ class TwoPasses:
         self._told = 0
 
     def first_tracker(self, config: TrackerConfig, width: int, gyro_rotation: GyroRotation,
-                      seen: Mask | None = None) -> Tracker:
+                      seen: Mask | None = None, row_shares: Plane | None = None) -> Tracker:
         """Return a Tracker that takes in frames, by the anchored tracker that a config means."""
-        def make(gyro_rotation: GyroRotation) -> HindsightTracker:
-            tracker = make_tracker(config, width, gyro_rotation, seen)
+        def make(gyro_rotation: GyroRotation, backwards: bool) -> HindsightTracker:
+            # Then the row that was read last is the first.
+            readout_s = -config.rolling_shutter_s if backwards else config.rolling_shutter_s
+            tracker = make_tracker(replace(config, rolling_shutter_s=readout_s), width,
+                                   gyro_rotation, seen, row_shares)
             assert isinstance(tracker, AnchoredTracker), 'the others have no landmarks'
             return HindsightTracker(tracker)
         self.finish()
@@ -58,7 +62,7 @@ class TwoPasses:
             self._orientations.append(self._reading.finish(progress))
             self._reading = None
 
-    def known_tracker(self, *_: Any) -> Tracker:
+    def known_tracker(self, *_: Any, **__: Any) -> Tracker:
         """Return the Tracker that tells the orientations of frames that are read once more."""
         orientations = self._orientations[self._told % len(self._orientations)]
         self._told += 1
@@ -68,14 +72,14 @@ class TwoPasses:
 class FirstReading:
     """A forward pass, as a Tracker, and the backward one after it."""
 
-    def __init__(self, make: Callable[[GyroRotation], HindsightTracker],
+    def __init__(self, make: Callable[[GyroRotation, bool], HindsightTracker],
                  gyro_rotation: GyroRotation) -> None:
         self._make, self._gyro_rotation = make, gyro_rotation
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
-        self._forward = self._make(self._gyro_rotation)
+        self._forward = self._make(self._gyro_rotation, False)
         self._spool = GreySpool()
         self._stamps_ns: list[int] = []
         # What a gyro saw is soon forgotten: R_first_camera by the turns that it told, and how many
@@ -100,7 +104,7 @@ class FirstReading:
         forward = self._forward.finish()
         # Its map is as large as the next one's.
         del self._forward
-        backward = self._make(self._gyro_rotation_backwards())
+        backward = self._make(self._gyro_rotation_backwards(), True)
         greys = progress(self._spool.backwards(), len(self._spool))
         # Time runs backwards, and forwards for the tracker.
         for grey, stamp_ns in zip(greys, reversed(self._stamps_ns)):

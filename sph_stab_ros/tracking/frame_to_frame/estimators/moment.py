@@ -55,15 +55,6 @@ def fit_moment(pairs: BearingPairs, start: Rotation | None = None) -> RotationEs
     return RotationEstimate(R, weighted_median(flow_rad, weights), len(pairs))
 
 
-def directional_moment(pairs: BearingPairs, R_current_previous: Rotation,
-                       smoothing_rad: float = 0.) -> Vector:
-    """Return M (3,) of Eq. 2 under a rotation, for weights that add up to 1."""
-    x_r = R_current_previous.apply(pairs.previous)
-    flow = pairs.current - x_r
-    length = np.sqrt(np.sum(flow * flow, axis=1) + smoothing_rad ** 2)
-    return (pairs.weights / pairs.weights.sum() / length) @ np.cross(x_r, flow)
-
-
 def retract(R: Rotation, omega: Vector) -> Rotation:
     return Rotation.from_rotvec(omega) * R
 

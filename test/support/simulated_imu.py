@@ -8,26 +8,17 @@
 
 """What an IMU on the camera of a simulated flight says."""
 
-from typing import TypeAlias
-
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from sph_stab_ros.geometry.arrays import Vector
-from sph_stab_ros.simulation.flights import Flight, PAD_S
+from sph_stab_ros.simulation.flights import PAD_S
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.level import GRAVITY_M_S2
 
-# Of each axis.
-Bias: TypeAlias = Vector | tuple[float, float, float]
-_STEP_S = 1e-3  # of the differences that derivatives are taken by
+# Of the differences that derivatives are taken by.
+STEP_S = 1e-3
 
 
-def imu_samples(
-        flight: Flight, R_camera_imu: Rotation, rate_hz: float = 200.,
-        force_noise_m_s2: float = 0., rate_noise_rad_s: float = 0.,
-        force_bias_m_s2: Bias = (0, 0, 0), rate_bias_rad_s: Bias = (0, 0, 0),
-        seed: int = 0) -> list[ImuSample]:
+def imu_samples(flight, R_camera_imu, rate_hz=200., force_noise_m_s2=0., rate_noise_rad_s=0.,
+                force_bias_m_s2=(0, 0, 0), rate_bias_rad_s=(0, 0, 0), seed=0):
     """
     Return the ImuSamples of a flight, from a quarter of a second before its first frame on.
 
@@ -35,12 +26,12 @@ def imu_samples(
     sample and axis; bias (3,) is constant, in the IMU's frame.
     """
     rng = np.random.default_rng(seed)
-    t_s = np.arange(-PAD_S + _STEP_S, flight.duration_s + PAD_S - _STEP_S, 1 / rate_hz)
+    t_s = np.arange(-PAD_S + STEP_S, flight.duration_s + PAD_S - STEP_S, 1 / rate_hz)
     R_before, R_now, R_after = (flight.R_mocap_camera(t_s + step) * R_camera_imu
-                                for step in (-_STEP_S, 0, _STEP_S))
-    rates_rad_s = (R_before.inv() * R_after).as_rotvec() / (2 * _STEP_S)
-    before, now, after = (flight.p_mocap_camera(t_s + step) for step in (-_STEP_S, 0, _STEP_S))
-    accelerations_m_s2 = (before - 2 * now + after) / _STEP_S**2
+                                for step in (-STEP_S, 0, STEP_S))
+    rates_rad_s = (R_before.inv() * R_after).as_rotvec() / (2 * STEP_S)
+    before, now, after = (flight.p_mocap_camera(t_s + step) for step in (-STEP_S, 0, STEP_S))
+    accelerations_m_s2 = (before - 2 * now + after) / STEP_S**2
     forces_m_s2 = R_now.inv().apply(accelerations_m_s2 + (0, 0, GRAVITY_M_S2))
     stamps_ns = flight.stamps_ns[0] + np.rint(t_s * 1e9).astype(np.int64)
     return [ImuSample(int(stamp_ns), force, rate) for stamp_ns, force, rate in zip(

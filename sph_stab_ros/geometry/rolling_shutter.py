@@ -1,0 +1,98 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""
+Rolling shutter: a picture whose rows are read one after the other, while the camera turns.
+
+Bearings, orientations and stamps are those of the middle of the read-out. What then lies along a
+bearing is seen along another one, by as much of the camera's turn as its row is early or late.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from sph_stab_ros.geometry.arrays import Bearings, Grey, Mask, Plane, Raster, Vector
+from sph_stab_ros.geometry.equirect import bearing_grid, pixels_from_bearings
+from sph_stab_ros.geometry.projection import Picture, Projection
+
+# Wide enough: they change by a hundredth from pixel to pixel.
+SHARES_WIDTH = 160
+
+
+def row_shares(projection: Projection, height: int) -> Plane:
+    """
+    Return when directions are read from a picture ``height`` high: (80, 160), from -½ to ½.
+
+    The pixels of a sphere, in shares of the read-out before or after its middle.
+    """
+    x, y, z = cv2.split(bearing_grid(SHARES_WIDTH))
+    _, v, _ = projection.nodes(x, y, z)
+    return np.clip((v + np.float32(0.5)) / np.float32(height) - np.float32(0.5), -0.5, 0.5)
+
+
+def shares_along(shares: Plane, bearings: Bearings) -> Plane:
+    """Return when bearings (..., 3) are read (...), by ``row_shares``."""
+    u, v = np.moveaxis(pixels_from_bearings(bearings, SHARES_WIDTH), -1, 0)
+    return map_coordinates(shares, (v, u), order=1, mode='nearest')
+
+
+def rate_at_end(rate: Vector, rate_before: Vector) -> Vector:
+    """
+    Return the rate (3,) at the end of an interval, of the mean ones in it and the one before.
+
+    To the second order, of intervals that are equally long.
+    """
+    return 1.5 * rate - 0.5 * rate_before
+
+
+@dataclass(frozen=True)
+class RollingShutter:
+    """
+    A Projection read row by row, while the camera turns by the rotation vector ``turn`` (3,).
+
+    In the camera's own frame, from the first row to the last; ``shares`` are its ``row_shares``.
+    """
+
+    projection: Projection
+    shares: Plane
+    turn: Vector
+
+    @property
+    def border(self) -> int:
+        """Name what lies beyond the picture's edges, as OpenCV does."""
+        return self.projection.border
+
+    @property
+    def sphere_width(self) -> int:
+        """Width of an equirectangular image with as many pixels per radian."""
+        return self.projection.sphere_width
+
+    def nodes(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Mask]:
+        """Return what holds the bearings of nodes, as Projection does."""
+        return self.projection.nodes(*self._as_read(x, y, z))
+
+    def read(self, image: Raster, x: Plane, y: Plane, z: Plane) -> Raster:
+        """Return the values along bearings."""
+        return self.projection.read(image, *self._as_read(x, y, z))
+
+    def grey_sphere(self, frame: Picture, width: int) -> Grey:
+        """Return the picture of a Frame as a grey sphere, as it was read."""
+        return self.projection.grey_sphere(frame, width)
+
+    def seen(self, width: int) -> Mask | None:
+        """Return which pixels of a sphere show the world."""
+        return self.projection.seen(width)
+
+    def _as_read(self, x: Plane, y: Plane, z: Plane) -> tuple[Plane, Plane, Plane]:
+        share = shares_along(self.shares, np.stack((x, y, z), axis=-1))
+        # bearing - share * cross(turn, bearing)
+        a, b, c = (share * np.float32(one) for one in self.turn)
+        return x - (b * z - c * y), y - (c * x - a * z), z - (a * y - b * x)

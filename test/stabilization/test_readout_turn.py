@@ -1,0 +1,88 @@
+# Copyright 2026 The sph_stab_ros developers
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except
+# in compliance with the License. You may obtain a copy of the License at
+# http://www.apache.org/licenses/LICENSE-2.0 Unless required by applicable law or agreed to in
+# writing, software distributed under the License is distributed on an "AS IS" BASIS, WITHOUT
+# WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
+# language governing permissions and limitations under the License.
+
+"""A stabiliser that knows that rows are read one after the other; the picture does not wobble."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sph_stab_ros.config import StabilizerConfig, TrackerConfig
+from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.stabilization.offline import offline_stabilizer
+from sph_stab_ros.stabilization.pipeline import Stabilizer
+from sph_stab_ros.stabilization.readout_turn import MAX_INTERVAL_S, ReadoutTurn
+from synthetic import textured_sphere
+
+WIDTH = 256
+PERIOD_S = 1 / 30
+READOUT_S = 0.03
+
+
+def shaken(time_s):
+    """Return orientations at times (N,)."""
+    return Rotation.from_rotvec(0.12 * np.sin(2 * np.pi * np.outer(time_s, (1.2, 1.6, 0.9))))
+
+
+def read_row_by_row(time_s):
+    """Return a sphere of a shaken camera, in so many bands as its orientation is that of a row."""
+    rows = np.arange(WIDTH // 2)
+    times_s = time_s + ((rows + 0.5) / len(rows) - 0.5) * READOUT_S
+    return np.stack([textured_sphere(WIDTH, R)[row]
+                     for row, R in zip(rows, shaken(times_s))])
+
+
+@pytest.fixture(name='frames', scope='module')
+def shaken_frames():
+    """Return Frames at 30 Hz."""
+    return [Frame(read_row_by_row(time_s), int(1e9 * time_s))
+            for time_s in PERIOD_S * np.arange(8)]
+
+
+def wobble(frames, processor):
+    """Return by how much stabilised pictures differ from what a camera at rest sees."""
+    spheres = [processor.process(frame).sphere() for frame in frames]
+    at_rest = textured_sphere(WIDTH, shaken([0.])[0])
+    # The first picture does not tell how the camera turned meanwhile.
+    return np.mean([cv2.absdiff(sphere, at_rest).mean() for sphere in spheres[2:]])
+
+
+def config(estimator, readout_s):
+    """Return the config of a camera that is read for so long."""
+    return StabilizerConfig(tracker=TrackerConfig(
+        estimator=estimator, flow='dis', working_width=WIDTH, rolling_shutter_s=readout_s))
+
+
+@pytest.mark.parametrize('estimator', ('anchored', 'moment'))
+def test_the_picture_wobbles_less(frames, estimator):
+    """Whoever estimates the orientations."""
+    as_it_is, known = (wobble(frames, Stabilizer(config(estimator, readout_s)))
+                       for readout_s in (0., READOUT_S))
+    assert known < 0.7 * as_it_is
+
+
+def test_offline_too(frames):
+    """Where the recording is also read backwards, and the last row is the first."""
+    def read(processor):
+        for frame in frames:
+            processor.process(frame)
+    as_it_is, known = (
+        wobble(frames, offline_stabilizer(config('anchored', readout_s), read, lambda one, _: one))
+        for readout_s in (0., READOUT_S))
+    assert known < 0.7 * as_it_is
+
+
+def test_the_turn_of_a_read_out_is_that_of_the_camera_meanwhile():
+    """As far as its orientations tell: not at first, nor after a gap or a step back."""
+    rate_rad_s = np.array((0.5, -1., 0.2))
+    turn, times_s = ReadoutTurn(), np.array((0., 0.1, 0.2))
+    turns = [turn.update(int(1e9 * time_s), Rotation.from_rotvec(rate_rad_s * time_s), READOUT_S)
+             for time_s in (*times_s, 0.2 + 2 * MAX_INTERVAL_S, 0.1, 0.2)]
+    known = READOUT_S * rate_rad_s
+    np.testing.assert_allclose(turns, [0 * known, known, known, 0 * known, 0 * known, known],
+                               atol=1e-12)
