@@ -25,7 +25,7 @@ RATE_RAD_S, VELOCITY_PER_S = np.array((0.4, -0.9, 0.3)), np.array((0.5, -0.2, 0.
 def moving():
     """Return the Readout of a camera that turns and moves."""
     readout = Readout(READOUT_S, SHARES)
-    readout.move(RATE_RAD_S, VELOCITY_PER_S)
+    readout.set_motion(RATE_RAD_S, VELOCITY_PER_S)
     return readout
 
 

@@ -87,7 +87,7 @@ class FrameLocalizer:
         R_camera_last = align_thumbnails(
             self._last_thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
         R_world_camera = motion.R_world_camera * R_camera_last.inv()
-        self._map.readout.move(*motion.velocities_at(
+        self._map.readout.set_motion(*motion.velocities_at(
             stamp_ns, R_world_camera, motion.position_at(stamp_ns)))
         if self._initializer is not None:
             return self._initializer.localize(
@@ -96,7 +96,7 @@ class FrameLocalizer:
         if localization is None or not self._map.readout.is_rolling:
             return localization
         # Once more: now it is known how the camera moved while the picture was read.
-        self._map.readout.move(*motion.velocities_at(
+        self._map.readout.set_motion(*motion.velocities_at(
             stamp_ns, localization.R_world_camera, localization.pose.position))
         return self._by_active(frame, stamp_ns, localization.R_world_camera)
 

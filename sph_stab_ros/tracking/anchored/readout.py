@@ -46,12 +46,12 @@ class Readout:
     def stand_still(self) -> None:
         """Take the camera to be at rest during the next picture."""
         self._turn: Vector = np.zeros(3)
-        self._move: Vector = np.zeros(3)
+        self._way: Vector = np.zeros(3)
 
-    def move(self, angular_velocity_rad_s: Vector, velocity_per_s: Vector) -> None:
+    def set_motion(self, angular_velocity_rad_s: Vector, velocity_per_s: Vector) -> None:
         """Take the camera to turn and move so during the next picture, in its own frame, (3,)."""
         self._turn = self._duration_s * angular_velocity_rad_s
-        self._move = self._duration_s * velocity_per_s
+        self._way = self._duration_s * velocity_per_s
 
     def as_seen(self, bearings: Bearings, inverse_distances: Values | float) -> Bearings:
         """Return where bearings (N, 3) of the middle of the read-out are to be seen."""
@@ -65,6 +65,6 @@ class Readout:
                sign: int) -> Bearings:
         if self._shares is None:
             return bearings
-        step = cross(bearings, self._turn[None]) - np.multiply.outer(inverse_distances, self._move)
+        step = cross(bearings, self._turn[None]) - np.multiply.outer(inverse_distances, self._way)
         moved = bearings + sign * shares_along(self._shares, bearings)[:, None] * step
         return moved / np.linalg.norm(moved, axis=1, keepdims=True)
