@@ -17,19 +17,18 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from sph_stab_ros.geometry.arrays import Bearings, Grey, Mask, Plane, Raster, Vector
 from sph_stab_ros.geometry.equirect import bearing_grid, pixels_from_bearings
 from sph_stab_ros.geometry.projection import Picture, Projection
 
-# Wide enough: they change by a hundredth from pixel to pixel.
-SHARES_WIDTH = 160
+# Wide enough to take the nearest pixel: it is off by a thousandth of the read-out at most.
+SHARES_WIDTH = 640
 
 
 def row_shares(projection: Projection, height: int) -> Plane:
     """
-    Return when directions are read from a picture ``height`` high: (80, 160), from -½ to ½.
+    Return when directions are read from a picture ``height`` high: (320, 640), from -½ to ½.
 
     The pixels of a sphere, in shares of the read-out before or after its middle.
     """
@@ -40,8 +39,8 @@ def row_shares(projection: Projection, height: int) -> Plane:
 
 def shares_along(shares: Plane, bearings: Bearings) -> Plane:
     """Return when bearings (..., 3) are read (...), by ``row_shares``."""
-    u, v = np.moveaxis(pixels_from_bearings(bearings, SHARES_WIDTH), -1, 0)
-    return map_coordinates(shares, (v, u), order=1, mode='nearest')
+    u, v = np.moveaxis(np.rint(pixels_from_bearings(bearings, SHARES_WIDTH)).astype(int), -1, 0)
+    return shares[np.clip(v, 0, SHARES_WIDTH // 2 - 1), u % SHARES_WIDTH]
 
 
 def rate_at_end(rate: Vector, rate_before: Vector) -> Vector:

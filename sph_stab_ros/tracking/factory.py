@@ -52,7 +52,7 @@ def make_tracker(
     ``gyro_rotation(from_ns, to_ns)`` returns the turn ``R_from_to`` that a gyro has seen between
     two stamps, or None. ``seen`` are the pixels (width / 2, width) bool that the pictures show,
     all by default; ProjectionError where the config's mask leaves none of them. ``row_shares``
-    (80, 160) tell when directions are read where the shutter rolls, which the anchored tracker
+    (320, 640) tell when directions are read where the shutter rolls, which the anchored tracker
     takes into account; ``anchored`` says how that does what it does.
     """
     used = common(load_mask(config.mask, width), seen)

@@ -29,7 +29,7 @@ class Readout:
     ----------
     duration_s : float
         From the first row to the last.
-    shares : (80, 160), optional
+    shares : (320, 640), optional
         When directions are read, as ``row_shares`` tells; needed unless all is read at once.
 
     """
