@@ -10,7 +10,7 @@
 Refine the calibration of two fisheye lenses from a recording by what both of them see.
 
 The recording should turn about all axes, somewhere with texture all around and nothing nearer
-than a metre or two.
+than a metre or two. Of one that shows less it says which parameters it could not tell.
 """
 
 from argparse import Namespace
@@ -82,6 +82,8 @@ def report(
     for when, angles_rad in (('before', calibration.before_rad), ('after', calibration.after_rad)):
         median, most = np.rad2deg(np.percentile(angles_rad, (50, 95)))
         yield f'disagreement {when}: median {median:.3f} deg, 95 % below {most:.3f} deg'
+    yield f'told: {", ".join(calibration.told)}'
+    yield f'not told, and near what it was: {", ".join(calibration.untold) or "nothing"}'
 
 
 def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
@@ -103,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     start = with_lens_file(settings.config.fisheye, (0, 0))
 
     def command() -> None:
-        recording = open_given(args)
+        recording = open_given(args, settings.config.join)
         with partial_output(args.out, args.force) as path:
             greys = spread_images(recording, start, args.max_frames, lambda frames: tqdm(
                 frames, total=frames_to_read(recording, args.max_frames), unit=' frames',

@@ -67,8 +67,8 @@ Evaluation: TypeAlias = tuple[Figures, dict[str, Errors], dict[str, Figures]]
 
 def evaluate(args: Namespace, configs: Configs) -> None:
     """Do what the command line says."""
-    recording = open_given(args)
     config = next(iter(configs.values()))
+    recording = open_given(args, config.join)
     watch = PictureWatch(config)
     spheres = Stitched(recording, config, watch)
     frames = frames_to_read(recording, args.max_frames)
@@ -204,7 +204,7 @@ def command_line() -> Parser:
                         help='draw figures into a folder')
     add_imu_topic(parser)
     group = add_parameters(parser, 'Those of estimator, projection, level and IMU count')
-    add_shorthands(group, ('projection', 'layout'))
+    add_shorthands(group, ('projection', 'layout', 'join'))
     add_calibration(group)
     add_shorthands(group, (name for name in TRACKER_OPTIONS if name not in ('estimator', 'flow')))
     return parser

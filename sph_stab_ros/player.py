@@ -36,9 +36,9 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.parameters import (
-    add_parameters, given_parameters, SetParameters, settings_from)
+    add_parameters, add_shorthands, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending
-from sph_stab_ros.config import AUTO, EQUIRECT, NodeConfig, Settings
+from sph_stab_ros.config import AUTO, EQUIRECT, NodeConfig, NOT_JOINED, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import fill_compressed, fill_image
@@ -96,7 +96,8 @@ class Player:
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
         recorded = recording.topics[topic] if topic else ''
-        if topic and is_installed(recorded) and (recorded == COMPRESSED_IMAGE or not compress):
+        as_recorded = recorded == COMPRESSED_IMAGE or not compress
+        if topic and config.join == NOT_JOINED and is_installed(recorded) and as_recorded:
             images_type = recorded
             self._sources.append(partial(recorded_messages, recording, topic))
         else:
@@ -236,12 +237,14 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     parser.add_argument('--wait', action='store_true',
                         help='start when somebody listens to the images')
     parser.add_argument('--image-topic', metavar='TOPIC',
-                        help='where the images are in a bag with several image topics')
+                        help='where the images are in a bag with several image topics; with '
+                        'join A,B for two lenses')
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
     group = add_parameters(
-        parser, 'image_transport, jpeg_quality, projection and layout count, but what a bag has '
-                'compressed goes out as it is')
+        parser, 'image_transport, jpeg_quality, projection, layout and join count, but what a '
+                'bag has compressed goes out as it is')
+    add_shorthands(group, ('join',))
     group.add_argument('--compressed', action=SetParameters, nargs=0,
                        read=lambda _, flag: {'image_transport': (flag, 'compressed')},
                        help='publish JPEG on image/compressed also where images are raw')
@@ -260,7 +263,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args, settings = started
     node: Node | None = None
     try:
-        recording = open_recording(args.recording, args.image_topic)
+        recording = open_recording(
+            args.recording, args.image_topic, join=settings.config.join)
         for topic in args.topics:
             if topic not in recording.topics:
                 raise RecordingError(f'{args.recording} has no topic {topic}')

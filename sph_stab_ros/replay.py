@@ -162,7 +162,7 @@ def add_options(parser: Parser) -> None:
                        read=smoothing_argument,
                        help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
                        'slow turns of heading, with this time constant (default: lock)')
-    add_shorthands(group, ('projection', 'layout'))
+    add_shorthands(group, ('projection', 'layout', 'join'))
     add_calibration(group)
     add_shorthands(group, TRACKER_OPTIONS)
 
@@ -245,7 +245,7 @@ def write_outputs(args: Namespace, settings: Settings, progress: Progress, sinks
                   ) -> tuple[Summary, list[str]]:
     """Do what ``replay`` does, but for its report."""
     config = settings.config
-    recording = open_given(args)
+    recording = open_given(args, config.join)
     imu_topic = find_imu_topic(recording, args.imu_topic) if config.level == IMU else None
     total = frames_to_read(recording, args.max_frames)
     start_s = time.perf_counter()

@@ -239,6 +239,20 @@ def test_a_video_is_played_with_the_present_time(turning_video, turning):
     assert before_ns < new_ns[0] and np.abs(np.diff(new_ns) - PERIOD_NS).max() < 2e4
 
 
+def test_two_tracks_are_played_as_one_picture(tmp_path):
+    videos = pytest.importorskip('tiny_videos')
+    images = [np.repeat(np.random.default_rng(track).integers(0, 256, (48, 64, 1), np.uint8), 3, 2)
+              for track in range(2)]
+    tracks = [[videos.bgr_frame(image) for _ in range(4)] for image in images]
+    path = videos.encode_tracks(tmp_path / 'a.mp4', tracks)
+    with playing(path, '--join', 'top_bottom', topics={'image': Image}) as heard:
+        heard.listen_to_the_end()
+    assert len(heard.received['image']) == 4
+    for msg in heard.received['image']:
+        off = np.abs(image_from_message(msg).astype(int) - np.vstack(images))
+        assert off.max() <= 3
+
+
 @pytest.mark.parametrize('args, status, message', [
     ((), 2, 'REC'),
     (('{bag}', '-p', 'jpeg_quality:=0'), 2, 'jpeg_quality must lie within 1 and 100'),

@@ -56,7 +56,8 @@ def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
 def add_selection(parser: argparse.ArgumentParser) -> None:
     """Add arguments for what of a recording to read."""
     parser.add_argument('--image-topic', metavar='TOPIC',
-                        help='where the images are in a bag with several image topics')
+                        help='where the images are in a bag with several image topics; with '
+                        'join A,B for two lenses')
     parser.add_argument('--start', metavar='SECONDS', type=seconds_argument, default=0.,
                         help='leave out what comes before, counted from the first picture')
     parser.add_argument('--end', metavar='SECONDS', type=seconds_argument, default=math.inf,
@@ -71,9 +72,9 @@ def check_stretch(parser: argparse.ArgumentParser, args: argparse.Namespace) -> 
         parser.error('--end comes after --start')
 
 
-def open_given(args: argparse.Namespace) -> Recording:
+def open_given(args: argparse.Namespace, join: str) -> Recording:
     """Return the Recording that the arguments of ``add_recording`` name, or its stretch."""
-    return open_recording(args.recording, args.image_topic, args.start, args.end)
+    return open_recording(args.recording, args.image_topic, args.start, args.end, join)
 
 
 def is_cut(args: argparse.Namespace) -> bool:

@@ -45,6 +45,8 @@ class PictureStream:
     ----------
     container
         Just opened.
+    stream
+        Which of its tracks to read.
     name
         Of the recording, for the log.
     skip_log
@@ -52,12 +54,12 @@ class PictureStream:
 
     """
 
-    def __init__(self, container: 'av.container.InputContainer', name: str, skip_log: SkipLog
-                 ) -> None:
+    def __init__(self, container: 'av.container.InputContainer', stream: 'av.VideoStream',
+                 name: str, skip_log: SkipLog) -> None:
         self._container = container
         self._name = name
         self._skip_log = skip_log
-        self.stream = container.streams.video[0]
+        self.stream = stream
         self.stream.thread_type = 'AUTO'
         self.rate = rate_of(self.stream)
         self.duration_s = duration_s(container, self.stream)

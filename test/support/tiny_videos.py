@@ -69,6 +69,29 @@ def encode(path, pictures, codec='libx264', options=None, pts_ms=None, tags=(), 
     return path
 
 
+def encode_tracks(path, tracks, pts_ms=None, options=None):
+    """
+    Write a video whose tracks are these lists of av.VideoFrames; return the path.
+
+    They are at multiples of 1/25 s, or each track at its list of times in ms.
+    """
+    with av.open(str(path), 'w') as container:
+        streams = []
+        for pictures in tracks:
+            stream = container.add_stream('libx264', rate=RATE, options=options or LOSSLESS)
+            stream.width, stream.height = pictures[0].width, pictures[0].height
+            stream.pix_fmt = pictures[0].format.name
+            stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+            streams.append(stream)
+        for track, (stream, pictures) in enumerate(zip(streams, tracks)):
+            times = (1000 // RATE * np.arange(len(pictures)) if pts_ms is None else pts_ms[track])
+            for picture, at_ms in zip(pictures, times):
+                picture.pts, picture.time_base = int(at_ms), Fraction(1, 1000)
+                container.mux(stream.encode(picture))
+            container.mux(stream.encode())
+    return path
+
+
 def _encode_sound(container, stream, sound, start):
     size = stream.codec_context.frame_size or 1024
     kind = stream.codec_context.format.name
