@@ -10,7 +10,7 @@
 Refine the calibration of two fisheye lenses from a recording by what both of them see.
 
 The recording should turn about all axes, somewhere with texture all around and nothing nearer
-than a metre or two.
+than a metre or two. Of one that shows less it says which parameters it could not tell.
 """
 
 from argparse import Namespace
@@ -26,7 +26,7 @@ from sph_stab_ros.calibration.dual_fisheye import (
     calibrate, Calibration, CalibrationError, for_size)
 from sph_stab_ros.calibration.file import calibration_text
 from sph_stab_ros.command_line import (
-    add_recording, check_stretch, frames_to_read, open_given, Parser, run)
+    add_recording, check_stretch, frames_to_read, one_line, open_given, Parser, run)
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, given_parameters, settings_from)
 from sph_stab_ros.config import FisheyeConfig, Settings
@@ -82,6 +82,8 @@ def report(
     for when, angles_rad in (('before', calibration.before_rad), ('after', calibration.after_rad)):
         median, most = np.rad2deg(np.percentile(angles_rad, (50, 95)))
         yield f'disagreement {when}: median {median:.3f} deg, 95 % below {most:.3f} deg'
+    yield f'told: {", ".join(calibration.told)}'
+    yield f'not told, and near what it was: {", ".join(calibration.untold) or "nothing"}'
 
 
 def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
@@ -103,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     start = with_lens_file(settings.config.fisheye, (0, 0))
 
     def command() -> None:
-        recording = open_given(args)
+        recording = open_given(args, settings.config.join)
         with partial_output(args.out, args.force) as path:
             greys = spread_images(recording, start, args.max_frames, lambda frames: tqdm(
                 frames, total=frames_to_read(recording, args.max_frames), unit=' frames',
@@ -114,7 +116,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 raise RecordingError(f'{recording.name}: {error}') from error
             lines = list(report(recording, greys, calibration))
             path.write_text(calibration_text(calibration.config, ''.join(
-                f'# {line}\n' for line in ('Written by calibrate.', *lines))))
+                f'# {line}\n' for line in ('Written by calibrate.', *map(one_line, lines)))),
+                'utf-8')
         for line in lines:
             print(line)
 

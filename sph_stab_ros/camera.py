@@ -32,7 +32,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.arguments import whole_number
 from sph_stab_ros.command_line.process_setup import bounded_ending
-from sph_stab_ros.config import NODE_PARAMETERS
+from sph_stab_ros.config import JOINS, NODE_PARAMETERS, NOT_JOINED
 from sph_stab_ros.images.codec import (
     compressed_fields, fill_image, fill_message, ImageError, JPEG_QUALITY)
 from sph_stab_ros.images.frame import Frame
@@ -61,10 +61,13 @@ class Camera:
         Of the pictures.
     quality
         Of the JPEG files that are made of what comes as none.
+    join
+        How to put the pictures of two tracks together.
 
     """
 
-    def __init__(self, node: Node, address: Address, frame_id: str, quality: int) -> None:
+    def __init__(self, node: Node, address: Address, frame_id: str, quality: int,
+                 join: str = NOT_JOINED) -> None:
         self._frame_id, self._quality = frame_id, quality
         self._image = advertise(node, Image, 'image')
         self._compressed = advertise(node, CompressedImage, compressed_topic(node, 'image'))
@@ -72,7 +75,7 @@ class Camera:
         self._refusals = ThrottledLog(node.get_logger().warning)
         self._publishing = Worker('publishing', self._publish)
         self.source = LiveSource(
-            address, self._publishing.put, node.get_logger(), self._refuse)
+            address, self._publishing.put, node.get_logger(), self._refuse, join)
 
     def start(self) -> None:
         """Start to read and publish."""
@@ -127,6 +130,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address]:
     parser.add_argument('--quality', metavar='N', type=whole_number(1, 100),
                         default=JPEG_QUALITY,
                         help='of the JPEG made of what comes otherwise (default: %(default)s)')
+    parser.add_argument('--join', choices=JOINS, default=NOT_JOINED,
+                        help=NODE_PARAMETERS['join'].description)
     args = parser.parse_args(argv)
     try:
         return args, address_of(args.source, args.options)
@@ -145,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     camera: Camera | None = None
     try:
         node = rclpy.create_node('camera')
-        camera = Camera(node, address, args.frame, args.quality)
+        camera = Camera(node, address, args.frame, args.quality, args.join)
         camera.start()
         executor = SingleThreadedExecutor()
         executor.add_node(node)

@@ -23,6 +23,7 @@ from sph_stab_ros.command_line import (
     add_imu_topic, add_recording, check_stretch, frames_to_read, open_given, Parser, run)
 from sph_stab_ros.command_line.arguments import (
     file_argument, names_argument, output_argument, period_argument, whole_number)
+from sph_stab_ros.command_line.optional_packages import see_that_figures_can_be_drawn
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, refuse_bad_mask,
     settings_from, TRACKER_OPTIONS)
@@ -33,8 +34,7 @@ from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
 from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
 from sph_stab_ros.evaluation.errors import Errors
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
-from sph_stab_ros.evaluation.outputs import (
-    draw, make_folder, see_that_figures_can_be_drawn, write_trajectories)
+from sph_stab_ros.evaluation.outputs import draw, make_folder, write_trajectories
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_injected, Progress
 from sph_stab_ros.evaluation.stitched import Stitched
@@ -67,8 +67,8 @@ Evaluation: TypeAlias = tuple[Figures, dict[str, Errors], dict[str, Figures]]
 
 def evaluate(args: Namespace, configs: Configs) -> None:
     """Do what the command line says."""
-    recording = open_given(args)
     config = next(iter(configs.values()))
+    recording = open_given(args, config.join)
     watch = PictureWatch(config)
     spheres = Stitched(recording, config, watch)
     frames = frames_to_read(recording, args.max_frames)
@@ -204,7 +204,7 @@ def command_line() -> Parser:
                         help='draw figures into a folder')
     add_imu_topic(parser)
     group = add_parameters(parser, 'Those of estimator, projection, level and IMU count')
-    add_shorthands(group, ('projection', 'layout'))
+    add_shorthands(group, ('projection', 'layout', 'join'))
     add_calibration(group)
     add_shorthands(group, (name for name in TRACKER_OPTIONS if name not in ('estimator', 'flow')))
     return parser

@@ -36,14 +36,15 @@ from sensor_msgs.msg import CompressedImage, Image
 
 from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.parameters import (
-    add_parameters, given_parameters, SetParameters, settings_from)
+    add_parameters, add_shorthands, given_parameters, SetParameters, settings_from)
 from sph_stab_ros.command_line.process_setup import bounded_ending
-from sph_stab_ros.config import AUTO, NodeConfig, Settings
+from sph_stab_ros.config import AUTO, EQUIRECT, NodeConfig, NOT_JOINED, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
+from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
 from sph_stab_ros.images.picture_watch import PictureWatch
-from sph_stab_ros.images.sphere import as_sphere
+from sph_stab_ros.images.sphere import stitched
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE
 from sph_stab_ros.recording.picture_times import HeaderClock, PlayingTime
@@ -95,7 +96,8 @@ class Player:
         self._sources: list[Callable[[], TimedMessages]] = []
         topic = recording.image_topic
         recorded = recording.topics[topic] if topic else ''
-        if topic and is_installed(recorded) and (recorded == COMPRESSED_IMAGE or not compress):
+        as_recorded = recorded == COMPRESSED_IMAGE or not compress
+        if topic and config.join == NOT_JOINED and is_installed(recorded) and as_recorded:
             images_type = recorded
             self._sources.append(partial(recorded_messages, recording, topic))
         else:
@@ -188,10 +190,14 @@ def recorded_messages(recording: Recording, topic: str) -> TimedMessages:
 def frame_messages(recording: Recording, images_type: type[Any], config: NodeConfig
                    ) -> TimedMessages:
     """Yield (stamp in ns, Image or CompressedImage) of the pictures of a recording."""
+    is_left_to_metadata = config.projection == EQUIRECT and config.layout == AUTO
     for frame in recording.frames():
-        if config.layout == AUTO:
+        if is_left_to_metadata and (frame.layout or frame.refusal):
             # What a video's metadata say has no place in a message.
-            frame = as_sphere(frame, config)
+            try:
+                frame = stitched(frame, config)
+            except ProjectionError as error:
+                raise RecordingError(f'{recording.name}: {error}') from None
         msg = (fill_image(Image(), frame.image) if images_type is Image
                else fill_compressed(CompressedImage(), frame.image, config.jpeg_quality))
         msg.header.stamp = time_message(frame.stamp_ns)
@@ -231,12 +237,14 @@ def arguments(argv: Sequence[str]) -> tuple[Namespace, Settings]:
     parser.add_argument('--wait', action='store_true',
                         help='start when somebody listens to the images')
     parser.add_argument('--image-topic', metavar='TOPIC',
-                        help='where the images are in a bag with several image topics')
+                        help='where the images are in a bag with several image topics; with '
+                        'join A,B for two lenses')
     parser.add_argument('--topics', nargs='+', default=[], metavar='TOPIC',
                         help='further topics of the bag to publish')
     group = add_parameters(
-        parser, 'image_transport, jpeg_quality, projection and layout count, but what a bag has '
-                'compressed goes out as it is')
+        parser, 'image_transport, jpeg_quality, projection, layout and join count, but what a '
+                'bag has compressed goes out as it is')
+    add_shorthands(group, ('join',))
     group.add_argument('--compressed', action=SetParameters, nargs=0,
                        read=lambda _, flag: {'image_transport': (flag, 'compressed')},
                        help='publish JPEG on image/compressed also where images are raw')
@@ -255,7 +263,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args, settings = started
     node: Node | None = None
     try:
-        recording = open_recording(args.recording, args.image_topic)
+        recording = open_recording(
+            args.recording, args.image_topic, join=settings.config.join)
         for topic in args.topics:
             if topic not in recording.topics:
                 raise RecordingError(f'{args.recording} has no topic {topic}')

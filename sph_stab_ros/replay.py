@@ -12,6 +12,7 @@ from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+import os
 from pathlib import Path
 import re
 import sys
@@ -21,15 +22,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from sph_stab_ros.command_line import (
-    add_imu_topic, add_recording, check_stretch, frames_to_read, given, is_cut, open_given, Parser,
-    run, told_once)
+    add_imu_topic, add_recording, check_stretch, frames_to_read, given, is_cut, one_line,
+    open_given, Parser, run, told_once)
 from sph_stab_ros.command_line.film import add_film, check_film, FILM_OPTIONS
+from sph_stab_ros.command_line.optional_packages import see_that_figures_can_be_drawn
 from sph_stab_ros.command_line.parameters import (
     add_calibration, add_parameters, add_shorthands, given_parameters, Parameters, SetParameters,
     settings_from, TRACKER_OPTIONS)
 from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
-from sph_stab_ros.evaluation.outputs import see_that_figures_can_be_drawn
 from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
@@ -161,7 +162,7 @@ def add_options(parser: Parser) -> None:
                        read=smoothing_argument,
                        help='lock keeps nothing of the turning, follow slow turns, yaw_follow '
                        'slow turns of heading, with this time constant (default: lock)')
-    add_shorthands(group, ('projection', 'layout'))
+    add_shorthands(group, ('projection', 'layout', 'join'))
     add_calibration(group)
     add_shorthands(group, TRACKER_OPTIONS)
 
@@ -196,7 +197,7 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     parser.add_argument('--force', action='store_true', help='replace existing outputs')
     add_options(parser)
     # OUT may stand behind options too.
-    args = parser.parse_intermixed_args(argv)
+    args = parser.parse_in_any_order(argv)
     if args.out is None and args.view:
         parser.error('--view needs OUT')
     if args.out is not None and args.out.suffix not in ('', *VIDEO_SUFFIXES):
@@ -204,12 +205,14 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Settings]:
     check_film(parser, args, args.out is not None and bool(args.out.suffix),
                'an .mp4 or .mov as OUT')
     check_stretch(parser, args)
-    if args.offline and args.recording == STANDARD_INPUT:
+    if args.offline and (args.recording == STANDARD_INPUT or args.recording.is_fifo()):
         parser.error('--offline reads twice, which a pipe cannot be')
-    paths = [path.resolve() for path in (
-        args.recording, args.out, args.trajectory, args.report) if path]
-    if len(set(paths)) < len(paths):
+    recording, *outputs = (Path(os.path.realpath(path)) for path in (
+        args.recording, args.out, args.trajectory, args.report) if path)
+    if len({recording, *outputs}) <= len(outputs):
         parser.error('IN, OUT, --trajectory and --report must be different files')
+    if any(output in recording.parents for output in outputs):
+        parser.error('IN must not be in the folder OUT, which is replaced as a whole')
     return args, given_settings(parser, args)
 
 
@@ -233,7 +236,7 @@ def replay(args: Namespace, settings: Settings, progress: Progress, sinks: Seque
             args, settings, progress, [*sinks, log], True, known_tracker)
         flags = {f'--{name.replace("_", "-")}': value
                  for name, value in given(args, REPORTED_FLAGS).items()}
-        path.write_text(page(args.recording.name, log, lines, settings, flags))
+        path.write_text(page(one_line(args.recording.name), log, lines, settings, flags), 'utf-8')
     return summary, lines
 
 
@@ -242,7 +245,7 @@ def write_outputs(args: Namespace, settings: Settings, progress: Progress, sinks
                   ) -> tuple[Summary, list[str]]:
     """Do what ``replay`` does, but for its report."""
     config = settings.config
-    recording = open_given(args)
+    recording = open_given(args, config.join)
     imu_topic = find_imu_topic(recording, args.imu_topic) if config.level == IMU else None
     total = frames_to_read(recording, args.max_frames)
     start_s = time.perf_counter()

@@ -17,6 +17,7 @@ import sys
 import time
 
 import numpy as np
+from projection_pictures import picture_of, projection_named
 import pytest
 from rosbags.typesys import get_typestore, Stores
 from scipy.spatial.transform import Rotation
@@ -122,6 +123,26 @@ def test_compressed_images_go_out_as_they_were_recorded(turning_bag):
         ('bgr8; jpeg compressed bgr8', 'theta_camera')}
 
 
+def test_a_cube_by_its_metadata_goes_out_as_spheres(tmp_path):
+    """The same as replay reads, as no message can say what they are."""
+    videos = pytest.importorskip('tiny_videos')
+    picture = videos.bgr_frame(picture_of(projection_named('cube 3x2'), textured_sphere(1024)))
+    path = videos.encode(tmp_path / 'cube.mp4', [picture] * 3, options={'crf': '10'})
+    videos.tagged(path, videos.cube_box())
+    with playing(path, topics={'image': Image}) as heard:
+        heard.listen_to_the_end()
+        images = [image_from_message(msg) for msg in heard.received['image']]
+    assert len(images) == 3
+    for image in images:
+        assert np.abs(image.astype(int) - textured_sphere(1024)).mean() < 12
+    with playing(path, '-p', 'projection:=cubemap', topics={'image': Image}) as heard:
+        heard.listen_to_the_end()
+        assert {(msg.width, msg.height) for msg in heard.received['image']} == {(768, 512)}
+    videos.encode(path, [picture])
+    videos.tagged(path, videos.sphere_box(projection=b'mshp'))
+    assert 'a mesh, which is not read' in start(path).communicate(timeout=TIMEOUT_S)[1]
+
+
 @pytest.fixture(scope='module')
 def bag_with_truth(tmp_path_factory):
     """Return a bag of raw images, and orientations between them."""
@@ -216,6 +237,20 @@ def test_a_video_is_played_with_the_present_time(turning_video, turning):
     assert {msg.header.frame_id for msg in messages} == {'camera'}
     new_ns = np.array(stamps(messages))
     assert before_ns < new_ns[0] and np.abs(np.diff(new_ns) - PERIOD_NS).max() < 2e4
+
+
+def test_two_tracks_are_played_as_one_picture(tmp_path):
+    videos = pytest.importorskip('tiny_videos')
+    images = [np.repeat(np.random.default_rng(track).integers(0, 256, (48, 64, 1), np.uint8), 3, 2)
+              for track in range(2)]
+    tracks = [[videos.bgr_frame(image) for _ in range(4)] for image in images]
+    path = videos.encode_tracks(tmp_path / 'a.mp4', tracks)
+    with playing(path, '--join', 'top_bottom', topics={'image': Image}) as heard:
+        heard.listen_to_the_end()
+    assert len(heard.received['image']) == 4
+    for msg in heard.received['image']:
+        off = np.abs(image_from_message(msg).astype(int) - np.vstack(images))
+        assert off.max() <= 3
 
 
 @pytest.mark.parametrize('args, status, message', [

@@ -55,3 +55,14 @@ def test_importing_the_package_imports_nothing_else():
     done = subprocess.run([sys.executable, '-c', code], cwd=SOURCE.parents[1], text=True,
                           capture_output=True, timeout=60, check=True)
     assert done.stdout.split() == []
+
+
+@pytest.mark.parametrize('module', ['replay', 'stabilizer', 'ros.node'])
+def test_what_only_an_evaluation_needs_costs_no_start(module):
+    """Statistics, optimisers and filters of SciPy took two fifths of the CPU of a start."""
+    pytest.importorskip('rclpy')
+    code = (f'import sys, sph_stab_ros.{module}; print(*{{"scipy.stats", "scipy.optimize", '
+            '"scipy.signal", "scipy.ndimage", "matplotlib"} & {*sys.modules})')
+    done = subprocess.run([sys.executable, '-c', code], cwd=SOURCE.parents[1], text=True,
+                          capture_output=True, timeout=60, check=True)
+    assert done.stdout.split() == []

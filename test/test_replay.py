@@ -116,7 +116,8 @@ def test_offline_what_is_left_out_is_told_once(turning, tmp_path, capsys, caplog
     call(bag, '--offline', '--smoothing', 'follow', '--trajectory', tmp_path / 'out.tum')
     assert [record.getMessage() for record in caplog.records] == [
         'bag: picture left out, not 2:1: an equirectangular image is twice as wide as high, '
-        'this is 256x50 (more of these are only counted)']
+        'this is 256x50; -p projection:=... says what else it shows (more of these are only '
+        'counted)']
     assert '12 ok' in capsys.readouterr().out
 
 
@@ -316,7 +317,9 @@ def test_pictures_that_are_too_small_are_no_recording():
     (), ('{bag}', '{new}.avi'), ('{bag}', '--side-by-side'), ('{bag}', '--view', '0,0,0,90'),
     ('{bag}', '{new}', '--side-by-side'), ('{bag}', '{new}', '--view', '0,0,0'),
     ('{bag}', '{new}', '--view', '0,0,0,400'), ('{bag}', '{new}', '--view', 'a,b,c,d'),
-    ('{bag}', '--max-frames', '0'), ('{bag}', '--max-frames', 'x'), ('{bag}', '{bag}', '--force'),
+    ('{bag}', '--max-frames', '0'), ('{bag}', '--max-frames', 'x'), ('{bag}', '--start', '1e300'),
+    ('{bag}', '--max-frames', 30 * '9'), ('{bag}', '{bag}', '--force'),
+    ('{bag}', '{bag}/..', '--force'), ('{bag}', '--trajectory', '{bag}/..', '--force'),
     ('{bag}', '--smoothing', 'magic'), ('{bag}', '--smoothing', 'follow:fast'),
     ('{bag}', '--smoothing', 'follow:0'),
     ('{bag}', '--estimator', 'magic'), ('{bag}', '--flow', 'magic'), ('{bag}', '--no-such-option'),

@@ -53,6 +53,7 @@ EXAMPLES = {
     'cubemap 1x6': example((256, 1536), 'cubemap'),
     'cubemap 4x3': example((1024, 768), 'cubemap'),
     'equi_angular_cubemap': example((1280, 720), 'equi_angular_cubemap'),
+    'gopro_max': example((780, 512), 'gopro_max'),
     'dual_fisheye side by side': example(
         (1024, 512), 'dual_fisheye', fisheye=circles((1024, 512), ONE, SIDE)),
     'dual_fisheye above': example(

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.batch.results import manifest_of
 from sph_stab_ros.batch.tasks import Outcome, Task
-from sph_stab_ros.config import LOCK
+from sph_stab_ros.config import LOCK, NOT_JOINED
 from sph_stab_ros.config.options import with_option
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.trajectory import Trajectory, write_tum
@@ -50,13 +50,15 @@ ORIENTATIONS = 'orientations.npz'
 CHANGED = 'its pictures are not those that were tracked before: the recording has changed'
 
 
-def stretches_of(path: Path, image_topic: str | None, split_s: float) -> list[Stretch]:
+def stretches_of(
+        path: Path, image_topic: str | None, split_s: float, join: str = NOT_JOINED
+        ) -> list[Stretch]:
     """
     Return overlapping Stretches of about ``split_s`` seconds that make up a recording.
 
     Bags do not say how long they are: it is estimated. The last one has no end.
     """
-    recording = open_recording(path, image_topic)
+    recording = open_recording(path, image_topic, join=join)
     times_ns = [frame.time_ns for frame in islice(recording.frames(), FIRST_PICTURES)]
     if recording.frame_count is None or len(times_ns) < 2:
         return [Stretch()]
@@ -70,7 +72,8 @@ def stretches_of(path: Path, image_topic: str | None, split_s: float) -> list[St
 def segment_tasks(task: Task, split_s: float) -> list[Task]:
     """Return the Tasks of a recording's segments; none where it is not split."""
     try:
-        stretches = stretches_of(task.recording, task.args.image_topic, split_s)
+        stretches = stretches_of(
+            task.recording, task.args.image_topic, split_s, task.settings.config.join)
     except RecordingError:
         # Its own process tells the reason as well.
         return []

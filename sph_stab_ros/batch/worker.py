@@ -139,7 +139,8 @@ def evaluate(task: Task, result: Path) -> None:
 
 def figures_of(task: Task, trajectory: Path) -> Figures:
     """Return the figures as ``evaluate`` has them, but those of time, or a reason."""
-    recording = open_recording(task.recording, task.args.image_topic)
+    recording = open_recording(
+        task.recording, task.args.image_topic, join=task.settings.config.join)
     try:
         topic = find_truth_topic(recording)
     except RecordingError as error:

@@ -13,45 +13,70 @@ Corners in the ring where the lenses overlap are followed from one lens' circle 
 Each gives two pixels that look along one bearing; the parameters are those that make these
 bearings agree (robust least squares). The ring cannot tell everything: not how the camera as a
 whole is turned, so that the front lens' mount stays as it is, nor which of the two radii is
-wrong, only their sum, and little of the lenses' inner parts. There the parameters stay near those
-one starts from, as the priors say. Things so near that the lenses, a few centimetres apart, see
-them in different directions, change the radii.
+wrong, only their sum, and little of the lenses' inner parts; nor does a recording show something
+in every direction. There the parameters stay near those one starts from, as the priors say, and
+by how much the corners narrow each of them down says whether they could tell it. Things so near
+that the lenses, a few centimetres apart, see them in different directions, change the radii.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from sph_stab_ros.calibration.ring import corners_in_both
 from sph_stab_ros.config import FisheyeConfig
-from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Pixels, Values
-from sph_stab_ros.geometry.fisheye import dual_fisheye, DualFisheye
-from sph_stab_ros.geometry.lens import Lens, lens_of
+from sph_stab_ros.geometry.arrays import Bearings, Grey, Pixels, Values
+from sph_stab_ros.geometry.lens import lens_of
 
-# One standard deviation of what is fitted: lengths in radii, angles in degrees.
-LENS_PRIORS = {'center_u_px': 0.015, 'center_v_px': 0.015, 'radius_px': 0.015, 'k1': 0.004}
-MOUNT_PRIORS = {'yaw_deg': 1., 'pitch_deg': 1., 'roll_deg': 2.}
-LENGTHS = ('center_u_px', 'center_v_px', 'radius_px')
+
+class Parameter(NamedTuple):
+    """
+    What is fitted: options of the lenses that change together, by so much times their ``signs``.
+
+    ``sigma`` is one standard deviation of the prior: lengths in radii, angles in degrees.
+    """
+
+    name: str
+    option: str
+    sigma: float
+    signs: tuple[int, int]
+
+    @property
+    def is_length(self) -> bool:
+        """Tell whether it is counted in radii."""
+        return self.option.endswith('_px')
+
+
+BOTH, APART, FRONT, REAR = (1, 1), (1, -1), (1, 0), (0, 1)
+# Lenses of one camera are of one kind: what both have is known less well than how they differ.
+PARAMETERS = (
+    Parameter('radius of both', 'radius_px', 0.03, BOTH),
+    Parameter('difference of the radii', 'radius_px', 0.01, APART),
+    Parameter('k1 of both', 'k1', 0.003, BOTH),
+    Parameter('difference of k1', 'k1', 0.003, APART),
+    # How they bend at the rim; of all terms this one says least about what lies further in.
+    Parameter('k4 of both', 'k4', 0.0002, BOTH),
+    Parameter('front centre across', 'center_u_px', 0.015, FRONT),
+    Parameter('front centre down', 'center_v_px', 0.015, FRONT),
+    Parameter('rear centre across', 'center_u_px', 0.015, REAR),
+    Parameter('rear centre down', 'center_v_px', 0.015, REAR),
+    Parameter('rear yaw', 'yaw_deg', 1., REAR),
+    Parameter('rear pitch', 'pitch_deg', 1., REAR),
+    Parameter('rear roll', 'roll_deg', 2., REAR))
+# Corners tell a parameter where they leave so much of its prior's deviation, or less.
+TOLD = 0.5
 # Of a corner followed into the other circle; what is more than a few of these apart is wrong.
 CORNER_SIGMA_RAD = np.deg2rad(0.1)
 MAX_DISAGREEMENT_RAD = np.deg2rad(0.5)
-ROUNDS = 3
-# In pictures of the ring, which are this much finer than the circles.
-FINENESS = 2.
-WINDOW_PX = 15
-MARGIN_PX = 64
-CORNERS_PER_PICTURE = 200
-MIN_CORNER_DISTANCE_PX = 10
-MAX_RETURN_PX = 0.5
-# Contrast is made alike, but noise is not made texture.
-CONTRAST_WINDOW_PX = 31
-MIN_CONTRAST = 6.
-# Enough to tell thirteen parameters from corners all around.
-MIN_CORNERS = 150
-SECTORS, MIN_SECTORS, MIN_CORNERS_PER_SECTOR = 12, 8, 4
+# So many of them tell as much as one: between halves of a real recording parameters differed by
+# three of the deviations that would follow if each was a witness of its own.
+ERRING_ALIKE = 8
+ROUNDS = 4
+# Fewer may be chance; where lenses are degrees off few are found at first.
+MIN_CORNERS, MIN_TO_START = 100, 25
 
 
 class CalibrationError(Exception):
@@ -64,60 +89,27 @@ class Calibration:
     A refined FisheyeConfig, and how well the lenses agree.
 
     ``before_rad`` and ``after_rad`` (N,) are the angles between where the two lenses see each of
-    the N corners that were followed.
+    the N corners that were followed. ``told`` and ``untold`` name the parameters that the corners
+    could tell, and those that stay near where they were.
     """
 
     config: FisheyeConfig
     before_rad: Values
     after_rad: Values
-
-
-class Ring:
-    """The border between the lenses as a picture: azimuth about the axis by angle towards it."""
-
-    def __init__(self, fisheye: DualFisheye, overlap_rad: float) -> None:
-        self._px_per_rad = FINENESS * fisheye.sphere_width / (2 * np.pi)
-        self.width = round(2 * np.pi * self._px_per_rad)
-        self.height = round(overlap_rad * self._px_per_rad)
-        uv = np.meshgrid(np.arange(-MARGIN_PX, self.width + MARGIN_PX), np.arange(self.height))
-        self._bearings = self.bearings(
-            np.stack(uv, axis=-1).astype(float) + (MARGIN_PX, 0)).astype(np.float32)
-
-    def bearings(self, uv: Pixels) -> Bearings:
-        """Return where pixels (..., 2) look, unit vectors (..., 3)."""
-        azimuth = (uv[..., 0] - MARGIN_PX) * (2 * np.pi / self.width)
-        towards = ((self.height - 1) / 2 - uv[..., 1]) / self._px_per_rad
-        return np.stack((np.cos(towards) * np.cos(azimuth), np.cos(towards) * np.sin(azimuth),
-                         np.sin(towards)), axis=-1)
-
-    def seen_by(self, lens: Lens, grey: Grey) -> Grey:
-        """Return what a lens of the grey picture sees of the ring, its contrast made even."""
-        u, v, _ = lens.pixels(self._bearings)
-        seen = cv2.remap(grey, u, v, cv2.INTER_LINEAR).astype(np.float32)
-        window = (CONTRAST_WINDOW_PX, CONTRAST_WINDOW_PX)
-        mean = cv2.blur(seen, window)
-        contrast = np.sqrt(np.maximum(cv2.blur(seen * seen, window) - mean * mean, 0))
-        return np.clip(128 + 40 * (seen - mean) / np.maximum(contrast, MIN_CONTRAST),
-                       0, 255).astype(np.uint8)
-
-    def contains(self, uv: Pixels) -> Choice:
-        """Tell which pixels (N, 2) lie a window within the ring, and once around."""
-        reach = WINDOW_PX / 2
-        return ((uv[:, 1] >= reach) & (uv[:, 1] < self.height - reach)
-                & (uv[:, 0] >= MARGIN_PX) & (uv[:, 0] < MARGIN_PX + self.width))
+    told: tuple[str, ...]
+    untold: tuple[str, ...]
 
 
 def for_size(config: FisheyeConfig, size_wh: tuple[int, int]) -> FisheyeConfig:
     """Return the FisheyeConfig for pictures (width, height) that it fits."""
-    scale = size_wh[0] / config.width
     width, height = size_wh
     lenses = {}
     for name in ('front', 'rear'):
         lens = getattr(config, name)
-        scaled = lens_of(lens).scaled(scale)
+        scaled = lens_of(lens).scaled(width / config.width, height / config.height)
         lenses[name] = replace(
             lens, center_u_px=scaled.center_px[0], center_v_px=scaled.center_px[1],
-            radius_px=scaled.radius_px)
+            radius_px=scaled.radius_px, aspect=scaled.aspect)
     return replace(config, width=width, height=height, **lenses)
 
 
@@ -131,95 +123,78 @@ def calibrate(greys: Sequence[Grey], config: FisheyeConfig) -> Calibration:
         raise CalibrationError('the lenses overlap by less than 4 degrees (fov_deg)')
     refined = config
     for _ in range(ROUNDS):
-        front_uv, rear_uv, azimuth = corners_in_both(greys, refined)
-        check_texture(azimuth)
-        refined = fitted(front_uv, rear_uv, config, refined)
+        front_uv, rear_uv = corners_in_both(greys, refined)
+        check_texture(len(front_uv), MIN_TO_START)
+        refined, left = fitted(front_uv, rear_uv, config, refined)
     before_rad, after_rad = (
         disagreement_rad(front_uv, rear_uv, one) for one in (config, refined))
     good = after_rad < MAX_DISAGREEMENT_RAD
-    check_texture(azimuth[good])
-    if good.mean() < 0.5:
+    if good.mean() < 0.5 or not all(
+            lens_of(lens, refined.model).tells_apart(np.deg2rad(refined.fov_deg / 2))
+            for lens in (refined.front, refined.rear)):
         raise CalibrationError(
             f'the lenses do not agree: of {len(good)} corners {good.sum()} come within '
             f'{np.rad2deg(MAX_DISAGREEMENT_RAD):g} degrees')
-    return Calibration(refined, before_rad[good], after_rad[good])
+    check_texture(int(good.sum()), MIN_CORNERS)
+    told, untold = (tuple(one.name for one, share in zip(PARAMETERS, left)
+                          if (share < TOLD) == wanted) for wanted in (True, False))
+    return Calibration(refined, before_rad[good], after_rad[good], told, untold)
 
 
-def corners_in_both(
-        greys: Sequence[Grey], config: FisheyeConfig) -> tuple[Pixels, Pixels, Values]:
-    """
-    Return the pixels (N, 2) of corners in the front circles and in the rear ones of pictures.
-
-    And their azimuths (N,) in radians.
-    """
-    fisheye = dual_fisheye(config, (config.width, config.height))
-    ring = Ring(fisheye, np.deg2rad(config.fov_deg - 180))
-    found = [np.empty((0, 2, 2))]
-    for grey in greys:
-        front, rear = (ring.seen_by(lens, grey) for lens in fisheye.lenses)
-        corners = cv2.goodFeaturesToTrack(
-            front, CORNERS_PER_PICTURE, 0.02, MIN_CORNER_DISTANCE_PX, blockSize=7)
-        if corners is None:
-            continue
-        there = followed(front, rear, corners)
-        back = followed(rear, front, there)
-        uv = np.stack((corners, there), axis=1)[:, :, 0]
-        returned = np.linalg.norm(back - corners, axis=-1)[:, 0] < MAX_RETURN_PX
-        found.append(uv[returned & ring.contains(uv[:, 0]) & ring.contains(uv[:, 1])])
-    x = ring.bearings(np.concatenate(found).astype(float))
-    front_uv, rear_uv = (
-        np.stack(lens.pixels(x[None, :, i])[:2], axis=-1)[0] if len(x) else np.empty((0, 2))
-        for i, lens in enumerate(fisheye.lenses))
-    return front_uv, rear_uv, np.arctan2(x[:, 0, 1], x[:, 0, 0])
-
-
-def followed(before: Grey, now: Grey, corners: Pixels) -> Pixels:
-    """Return where corners (N, 1, 2) of one picture are in another."""
-    return cv2.calcOpticalFlowPyrLK(
-        before, now, corners, None, winSize=(WINDOW_PX, WINDOW_PX), maxLevel=2)[0]
-
-
-def check_texture(azimuth: Values) -> None:
-    """Raise CalibrationError where corners at azimuths (N,) do not suffice."""
-    sectors = np.floor(azimuth / (2 * np.pi) * SECTORS).astype(int) % SECTORS
-    filled = np.bincount(sectors, minlength=SECTORS) >= MIN_CORNERS_PER_SECTOR
-    if len(azimuth) < MIN_CORNERS or filled.sum() < MIN_SECTORS:
-        raise CalibrationError(
-            f'too little texture where both lenses see: {len(azimuth)} corners in '
-            f'{filled.sum()} of {SECTORS} directions, at least {MIN_CORNERS} in {MIN_SECTORS} '
-            'are needed')
+def check_texture(corners: int, needed: int) -> None:
+    """Raise CalibrationError where there are too few corners."""
+    if corners < needed:
+        raise CalibrationError(f'too little texture where both lenses see: {corners} corners, at '
+                               f'least {MIN_CORNERS} are needed')
 
 
 def fitted(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig,
-           start: FisheyeConfig) -> FisheyeConfig:
-    """Return the FisheyeConfig near ``config`` that makes pixels (N, 2) agree, from a start."""
-    names = [(lens, name) for lens in ('front', 'rear') for name in LENS_PRIORS]
-    names += [('rear', name) for name in MOUNT_PRIORS]
-    priors = LENS_PRIORS | MOUNT_PRIORS
-    sigmas = np.array([priors[name] * (getattr(config, lens).radius_px if name in LENGTHS else 1)
-                       for lens, name in names])
+           start: FisheyeConfig) -> tuple[FisheyeConfig, Values]:
+    """
+    Return the FisheyeConfig near ``config`` that makes pixels (N, 2) agree, from a start.
 
-    def values(one: FisheyeConfig) -> Values:
-        return np.array([getattr(getattr(one, lens), name) for lens, name in names])
+    And how much of each parameter's prior deviation is left (P,).
+    """
+    radius_px = config.front.radius_px
+    sigmas = np.array([one.sigma * (radius_px if one.is_length else 1) for one in PARAMETERS])
 
     def with_values(parameters: Values) -> FisheyeConfig:
-        lenses: dict[str, Any] = {'front': {}, 'rear': {}}
-        for (lens, name), value in zip(names, (values(config) + sigmas * parameters).tolist()):
-            lenses[lens][name] = value
-        return replace(config, **{
-            lens: replace(getattr(config, lens), **changed) for lens, changed in lenses.items()})
+        lenses = [config.front, config.rear]
+        for one, change in zip(PARAMETERS, (sigmas * parameters).tolist()):
+            for number, sign in enumerate(one.signs):
+                lens = lenses[number]
+                # Down and up pixels may be smaller.
+                step = change * (lens.aspect if one.option == 'center_v_px' else 1)
+                lenses[number] = replace(
+                    lens, **{one.option: getattr(lens, one.option) + sign * step})
+        return replace(config, front=lenses[0], rear=lenses[1])
 
     def residuals(parameters: Values) -> Values:
-        front, rear = bearings_of(front_uv, rear_uv, with_values(parameters))
-        off = (front - rear) / CORNER_SIGMA_RAD
+        off = misses_px(front_uv, rear_uv, with_values(parameters)) / (
+            CORNER_SIGMA_RAD * radius_px / (np.pi / 2))
         # Pseudo-Huber's cost of the corners, the plain square of the priors.
         square = np.sum(off * off, axis=1, keepdims=True)
         off *= np.sqrt(2 / (1 + np.sqrt(1 + square)))
-        return np.append(off, parameters)
+        return np.append(off / np.sqrt(ERRING_ALIKE), parameters)
 
-    found = least_squares(
-        residuals, np.clip((values(start) - values(config)) / sigmas, -4, 4), bounds=(-5, 5))
-    return with_values(found.x)
+    found = least_squares(residuals, np.zeros(len(PARAMETERS)), bounds=(-5, 5))
+    return with_values(found.x), np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)))
+
+
+def misses_px(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig) -> Pixels:
+    """
+    Return by how much (N, 4) pixels (N, 2) miss those that the other lens says look there.
+
+    In pixels, not in angles: these would shrink for lenses that bend more where it ends.
+    """
+    front, rear = lens_of(config.front, config.model), lens_of(config.rear, config.model)
+    misses = []
+    for one, other, uv, other_uv in ((front, rear, front_uv, rear_uv),
+                                     (rear, front, rear_uv, front_uv)):
+        u, v, _ = other.pixels(one.bearings(uv)[None])
+        misses.append((u[0] - other_uv[:, 0], (v[0] - other_uv[:, 1]) / other.aspect))
+    # Either way tells the same.
+    return np.stack([*misses[0], *misses[1]], axis=-1) / np.sqrt(2)
 
 
 def disagreement_rad(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig) -> Values:
@@ -231,4 +206,5 @@ def disagreement_rad(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig) -
 def bearings_of(front_uv: Pixels, rear_uv: Pixels,
                 config: FisheyeConfig) -> tuple[Bearings, Bearings]:
     """Return the bearings (N, 3) of pixels (N, 2) in the front circle and in the rear one."""
-    return lens_of(config.front).bearings(front_uv), lens_of(config.rear).bearings(rear_uv)
+    return (lens_of(config.front, config.model).bearings(front_uv),
+            lens_of(config.rear, config.model).bearings(rear_uv))

@@ -9,8 +9,9 @@
 """What the command-line tools share: one line for an error, exit 2 for a usage error, 1 else."""
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 import logging
 import math
 import os
@@ -34,6 +35,15 @@ class Parser(argparse.ArgumentParser):
         """Exit with status 2."""
         self.exit(2, f'{self.prog}: {one_line(message)}\n')
 
+    def parse_in_any_order(self, args: Sequence[str] | None) -> argparse.Namespace:
+        """Return parsed arguments, options and names mixed; behind ``--`` there are only names."""
+        given = list(sys.argv[1:] if args is None else args)
+        if '--' in given:
+            # argparse forgets it between its two passes.
+            at = given.index('--')
+            given[at:] = [f'./{one}' if one.startswith('-') else one for one in given[at + 1:]]
+        return self.parse_intermixed_args(given)
+
 
 def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
     """Add arguments for a recording to read, called ``name``, and for what of it."""
@@ -46,7 +56,8 @@ def add_recording(parser: argparse.ArgumentParser, name: str) -> None:
 def add_selection(parser: argparse.ArgumentParser) -> None:
     """Add arguments for what of a recording to read."""
     parser.add_argument('--image-topic', metavar='TOPIC',
-                        help='where the images are in a bag with several image topics')
+                        help='where the images are in a bag with several image topics; with '
+                        'join A,B for two lenses')
     parser.add_argument('--start', metavar='SECONDS', type=seconds_argument, default=0.,
                         help='leave out what comes before, counted from the first picture')
     parser.add_argument('--end', metavar='SECONDS', type=seconds_argument, default=math.inf,
@@ -61,9 +72,9 @@ def check_stretch(parser: argparse.ArgumentParser, args: argparse.Namespace) -> 
         parser.error('--end comes after --start')
 
 
-def open_given(args: argparse.Namespace) -> Recording:
+def open_given(args: argparse.Namespace, join: str) -> Recording:
     """Return the Recording that the arguments of ``add_recording`` name, or its stretch."""
-    return open_recording(args.recording, args.image_topic, args.start, args.end)
+    return open_recording(args.recording, args.image_topic, args.start, args.end, join)
 
 
 def is_cut(args: argparse.Namespace) -> bool:
@@ -140,24 +151,36 @@ def run(name: str, command: Callable[[], object]) -> int:
 
     Warnings of the library go to stderr. SIGTERM ends the command as Ctrl-C does.
     """
+    for stream in ('stdout', 'stderr'):
+        # Closed by whoever started us.
+        if getattr(sys, stream) is None:
+            setattr(sys, stream, open(os.devnull, 'w'))
     handler = logging.StreamHandler()
     handler.setFormatter(OneLine(f'{name}: %(message)s'))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     # SIGINT too: what a script starts in the background would ignore it.
     for ending in (signal.SIGINT, signal.SIGTERM):
         signal.signal(ending, signal.default_int_handler)
+    if isinstance(sys.stdout, TextIOWrapper):
+        # Whatever names hold, and whatever the locale: as it is with stderr.
+        sys.stdout.reconfigure(errors='backslashreplace')
     set_up_process()
     try:
         command()
+        sys.stdout.flush()
     except RecordingError as error:
         print(f'{name}: {one_line(error)}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f'{name}: interrupted', file=sys.stderr)
         return 1
-    except BrokenPipeError:
-        # Whoever read the output has seen enough; Python must not flush the rest either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        # Whoever has read the beginning may have seen enough.
+        if not isinstance(error, BrokenPipeError):
+            print(f'{name}: {one_line(error)}', file=sys.stderr)
+        # Python must not flush the rest either.
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
         if not is_out_of_memory(error):

@@ -13,6 +13,11 @@ from argparse import ArgumentTypeError
 from collections.abc import Callable, Collection
 import math
 from pathlib import Path
+import sys
+
+
+# Thirty years: libraries count finer units in 64 bits.
+MOST_SECONDS = 1e9
 
 
 def names_argument(known: Collection[str]) -> Callable[[str], list[str]]:
@@ -35,6 +40,8 @@ def whole_number(least: int, most: float = math.inf) -> Callable[[str], int]:
             number = int(text)
         except ValueError:
             raise ArgumentTypeError(f"'{text}' is not a whole number") from None
+        if number > sys.maxsize:
+            raise ArgumentTypeError(f'must be at most {sys.maxsize}')
         if not least <= number <= most:
             raise ArgumentTypeError(f'must be {bounds}')
         return number
@@ -48,8 +55,8 @@ def seconds_argument(text: str) -> float:
     except ValueError:
         seconds = math.nan
     # Written so that NaN fails.
-    if not 0 <= seconds < math.inf:
-        raise ArgumentTypeError('must be a number of seconds, 0 or more')
+    if not 0 <= seconds <= MOST_SECONDS:
+        raise ArgumentTypeError(f'must be a number of seconds, 0 to {MOST_SECONDS:g}')
     return seconds
 
 

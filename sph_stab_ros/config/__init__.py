@@ -13,11 +13,11 @@ from sph_stab_ros.config.options import (
     ConfigError, get_option, Option, options, with_option)
 from sph_stab_ros.config.projection import (
     CropConfig, CROPPED_EQUIRECT, CUBEMAP, CubemapConfig, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP,
-    EQUIDISTANT, EQUIRECT, EQUISOLID, FISHEYE, FisheyeConfig, LENS_MODELS, LensConfig, MIN_WIDTH,
-    PROJECTIONS, STRETCHED_EQUIRECT)
+    EQUIDISTANT, EQUIRECT, EQUISOLID, FISHEYE, FisheyeConfig, GOPRO_MAX, LENS_MODELS, LensConfig,
+    MIN_WIDTH, PROJECTIONS, STRETCHED_EQUIRECT)
 from sph_stab_ros.config.schema import (
     ANCHORED, AUTO, FIRST_FRAME, FLOWS, FOLLOW, HALF_SPHERE, IMAGE_TRANSPORTS, IMU, ImuConfig,
-    LEFT_RIGHT, LEVELS, LOCK, METHODS, MODES, MONO, NODE_PARAMETERS, NodeConfig,
+    JOINS, LEFT_RIGHT, LEVELS, LOCK, METHODS, MODES, MONO, NODE_PARAMETERS, NodeConfig, NOT_JOINED,
     PICTURE_LAYOUTS, RESERVED, SmoothingConfig, StabilizerConfig, TOP_BOTTOM, TrackerConfig,
     VIEW, VIEW_NAME, view_parameters, ViewConfig, VR180, YAW_FOLLOW)
 from sph_stab_ros.config.settings import frame_in_tf, Settings, settings_of
@@ -26,9 +26,10 @@ __all__ = [
     'ANCHORED', 'AUTO', 'ConfigError', 'CropConfig', 'CROPPED_EQUIRECT', 'CUBEMAP',
     'CubemapConfig', 'DUAL_FISHEYE', 'EQUI_ANGULAR_CUBEMAP', 'EQUIDISTANT', 'EQUIRECT',
     'EncoderConfig', 'EQUISOLID', 'FIRST_FRAME', 'FISHEYE', 'FisheyeConfig', 'FLOWS', 'FOLLOW',
-    'frame_in_tf', 'get_option', 'H264', 'HALF_SPHERE', 'IMAGE_TRANSPORTS', 'IMU', 'ImuConfig',
-    'LEFT_RIGHT', 'LENS_MODELS', 'LensConfig', 'LEVELS', 'LIVE_ENCODERS', 'LOCK', 'METHODS',
-    'MIN_WIDTH', 'MODES', 'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'Option', 'options',
-    'PICTURE_LAYOUTS', 'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of', 'SmoothingConfig',
-    'StabilizerConfig', 'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME',
+    'frame_in_tf', 'get_option', 'GOPRO_MAX', 'H264', 'HALF_SPHERE', 'IMAGE_TRANSPORTS', 'IMU',
+    'ImuConfig', 'JOINS', 'LEFT_RIGHT', 'LENS_MODELS', 'LensConfig', 'LEVELS', 'LIVE_ENCODERS',
+    'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'NOT_JOINED',
+    'Option', 'options', 'PICTURE_LAYOUTS', 'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of',
+    'SmoothingConfig', 'StabilizerConfig', 'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig',
+    'VIEW', 'VIEW_NAME',
     'view_parameters', 'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']

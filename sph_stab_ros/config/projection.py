@@ -20,8 +20,9 @@ CROPPED_EQUIRECT = 'cropped_equirect'
 CUBEMAP = 'cubemap'
 EQUI_ANGULAR_CUBEMAP = 'equi_angular_cubemap'
 FISHEYE = 'fisheye'
+GOPRO_MAX = 'gopro_max'
 PROJECTIONS = (EQUIRECT, DUAL_FISHEYE, STRETCHED_EQUIRECT, CROPPED_EQUIRECT, CUBEMAP,
-               EQUI_ANGULAR_CUBEMAP, FISHEYE)
+               EQUI_ANGULAR_CUBEMAP, FISHEYE, GOPRO_MAX)
 EQUIDISTANT = 'equidistant'
 EQUISOLID = 'equisolid'
 LENS_MODELS = (EQUIDISTANT, EQUISOLID)
@@ -89,6 +90,12 @@ class FisheyeConfig(Checked):
     match_lenses: bool = option(
         False, 'Make two lenses as bright and as coloured as each other near their border, by '
         'what both see')
+    baseline_m: float = option(
+        0., 'How far apart in metres the centres of two lenses are, each ahead along its axis of '
+        'the middle between', minimum=0., maximum=10.)
+    seam_distance_m: float = option(
+        0., 'How far away in metres is what two lenses show without a step where one ends and the '
+        'other begins; 0: infinitely far', minimum=0., maximum=1e6)
     file: str = option(
         '', 'Path of a calibration as ROS (camera_info of the model equidistant) or Kalibr '
         '(camchain) write it: it takes the place of the pixels and distortions, and of the rear '

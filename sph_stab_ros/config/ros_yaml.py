@@ -35,7 +35,7 @@ MOST_DIGITS = 100
 def read_yaml(path: Path) -> Any:
     """Return what a file of YAML holds, None where it is empty; ConfigError, without its name."""
     try:
-        return parse_yaml(path.read_text())
+        return parse_yaml(path.read_text('utf-8-sig'))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(getattr(error, 'strerror', None) or 'not a text') from None
 

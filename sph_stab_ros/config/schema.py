@@ -42,6 +42,8 @@ LEFT_RIGHT = 'left_right'
 VR180 = 'vr180'
 HALF_SPHERE = 'half_sphere'
 PICTURE_LAYOUTS = (AUTO, MONO, TOP_BOTTOM, LEFT_RIGHT, VR180, HALF_SPHERE)
+NOT_JOINED = 'none'
+JOINS = (NOT_JOINED, LEFT_RIGHT, TOP_BOTTOM)
 
 
 @dataclass(frozen=True)
@@ -140,12 +142,16 @@ class StabilizerConfig(Checked):
         EQUIRECT, 'What the images are: equirectangular; the two circles of two fisheye lenses as '
         'calibrated in fisheye.*, or one (fisheye); a whole sphere of another aspect than 2:1; '
         'the part of a sphere in crop.*; six faces of a cube 3x2, 6x1, 1x6 or 4x3 (cubemap), or '
-        'as YouTube has them', choices=PROJECTIONS)
+        'as YouTube or the two tracks of a GoPro Max have them', choices=PROJECTIONS)
     layout: str = option(
         AUTO, "Where an equirectangular image holds the sphere: as a video's metadata say, else "
         'it is the sphere (auto); one sphere whatever they say (mono); two of them for two eyes, '
         'of which the left one is used (top_bottom, left_right); two front halves (vr180); one '
         '(half_sphere)', choices=PICTURE_LAYOUTS)
+    join: str = option(
+        NOT_JOINED, 'Put the pictures of two lenses that come one by one, as two tracks of a '
+        'video or on the topics image and image_rear, side by side (left_right) or one above the '
+        'other (top_bottom), for projection to read', choices=JOINS, live=False)
     fisheye: FisheyeConfig = FisheyeConfig()
     crop: CropConfig = CropConfig()
     cubemap: CubemapConfig = CubemapConfig()

@@ -9,7 +9,6 @@
 """The folders that ``evaluate`` writes."""
 
 from collections.abc import Mapping
-import importlib
 import logging
 from pathlib import Path
 
@@ -51,12 +50,3 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise RecordingError(f'{folder} cannot be written: {error.strerror}') from error
-
-
-def see_that_figures_can_be_drawn(flag: str) -> None:
-    """Raise RecordingError if those that a flag asks for cannot."""
-    try:
-        importlib.import_module('matplotlib')
-    except ImportError:
-        raise RecordingError(
-            f"{flag} needs Matplotlib: pip install 'sph_stab_ros[plots]'") from None

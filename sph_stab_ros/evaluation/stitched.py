@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-A recording of two fisheye circles, two eyes or a part of the sphere, read as spheres.
+A recording of circles, of faces of a cube, of two eyes or a part of the sphere, read as spheres.
 
 Injected rotations and figures need those. Circles are stitched, that is joined into one sphere, of
 two eyes one is taken; nothing is turned or stabilised here.
@@ -16,19 +16,14 @@ two eyes one is taken; nothing is turned or stabilised here.
 from collections import Counter
 from collections.abc import Generator
 from contextlib import suppress
-from dataclasses import replace
 import logging
 
-from scipy.spatial.transform import Rotation
-
 from sph_stab_ros.config import MIN_WIDTH, StabilizerConfig
-from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionError
-from sph_stab_ros.geometry.warp import equirect_warp
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.picture_watch import PictureWatch
-from sph_stab_ros.images.sphere import as_sphere
+from sph_stab_ros.images.sphere import as_sphere, config_for, stitched
 from sph_stab_ros.recording.base import Recording, SkipLog
 from sph_stab_ros.recording.telemetry import Telemetry
 
@@ -75,7 +70,9 @@ class Stitched:
         """Tell whether the first picture that can be used shows the whole sphere."""
         for frame in self._recording.frames():
             with suppress(ProjectionError):
-                return projection_of(frame.size_wh, self._config).seen(MIN_WIDTH) is None
+                config = config_for(frame, self._config)
+                size_wh = as_sphere(frame, config).size_wh
+                return projection_of(size_wh, config).seen(MIN_WIDTH) is None
         return True
 
     def frames(self) -> Generator[Frame, None, None]:
@@ -83,17 +80,9 @@ class Stitched:
         self._skip_log = SkipLog(self.name)
         for frame in self._recording.frames():
             try:
-                yield self._stitched(frame)
+                hint = self._watch.look(frame)
+                if hint:
+                    logger.warning('%s: %s', self.name, hint)
+                yield stitched(frame, self._config)
             except (ImageError, ProjectionError) as error:
                 self._skip_log.add(error.reason, error)
-
-    def _stitched(self, frame: Frame) -> Frame:
-        frame = as_sphere(frame, self._config)
-        hint = self._watch.look(frame)
-        if hint:
-            logger.warning('%s: %s', self.name, hint)
-        projection = projection_of(frame.size_wh, self._config)
-        if isinstance(projection, Equirect):
-            return frame
-        warp = equirect_warp(projection.sphere_width)
-        return replace(frame, source=warp(frame.image, Rotation.identity(), projection))

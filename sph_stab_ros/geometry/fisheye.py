@@ -8,7 +8,7 @@
 
 """One fisheye circle in a picture, or two, as cameras with two lenses stream them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -16,9 +16,10 @@ import cv2
 import numpy as np
 
 from sph_stab_ros.config import FisheyeConfig
-from sph_stab_ros.geometry.arrays import Bearings, Faces, Mask, Pixels, Plane, Raster
+from sph_stab_ros.geometry.arrays import Bearings, Faces, Grey, Mask, Pixels, Plane, Raster
 from sph_stab_ros.geometry.lens import Lens, lens_of
 from sph_stab_ros.geometry.pixel_map import NOWHERE, PixelMap
+from sph_stab_ros.geometry.projection import Picture
 
 # Relative difference of width to height up to which a picture is taken for a scaled one.
 ASPECT_TOLERANCE = 0.005
@@ -60,7 +61,8 @@ class DualFisheye(PixelMap):
     The Projection of a picture with a circle for each half of the sphere and a little more.
 
     Each bearing is read from the one of ``lenses``, front and rear, whose axis it is nearer to; in
-    a band ``blend_rad`` wide along the border between the two one fades into the other.
+    a band ``blend_rad`` wide along the border between the two one fades into the other. Where the
+    lenses lie apart what is as far away as they are told meets there.
     """
 
     size_wh: tuple[int, int]
@@ -112,6 +114,11 @@ class DualFisheye(PixelMap):
         values[face == NOWHERE] = 0
         return values
 
+    def grey_sphere(self, frame: Picture, width: int) -> Grey:
+        """Return the picture of a Frame as a grey sphere, as if all was far: most of it is."""
+        front, rear = (replace(lens, ahead=0.) for lens in self.lenses)
+        return PixelMap.grey_sphere(replace(self, lenses=(front, rear)), frame, width)
+
     def _both(self, x: Plane, y: Plane, z: Plane) -> tuple[LensPixels, LensPixels, Plane]:
         """Return what each lens has of bearings, and the share (h, w) of the front lens."""
         xyz = cv2.merge((x, y, z))
@@ -157,12 +164,19 @@ def fits(config: FisheyeConfig, size_wh: tuple[int, int]) -> bool:
             or abs(width - expected_width) < ASPECT_TOLERANCE * expected_width)
 
 
+def lens_ahead(config: FisheyeConfig) -> float:
+    """Return how far each lens is ahead of the middle, as a share of the seam's distance."""
+    return config.baseline_m / 2 / config.seam_distance_m if config.seam_distance_m else 0.
+
+
 @lru_cache(maxsize=8)
 def dual_fisheye(config: FisheyeConfig, size_wh: tuple[int, int]) -> DualFisheye:
     """Return the DualFisheye of a FisheyeConfig for pictures (width, height) that it fits."""
+    ahead = lens_ahead(config)
     # Both lenses see it.
-    overlap_deg = min(config.blend_deg, config.fov_deg - 180)
-    front, rear = (lens_of(lens, config.model) for lens in (config.front, config.rear))
+    overlap_deg = min(config.blend_deg, config.fov_deg - 180 - 2 * np.rad2deg(np.arctan(ahead)))
+    front, rear = (replace(lens_of(lens, config.model), ahead=ahead)
+                   for lens in (config.front, config.rear))
     return DualFisheye(
         (config.width, config.height), (front, rear), np.deg2rad(config.fov_deg / 2),
         np.deg2rad(overlap_deg)).resized(size_wh)

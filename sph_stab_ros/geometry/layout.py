@@ -14,7 +14,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from sph_stab_ros.config import HALF_SPHERE, LEFT_RIGHT, TOP_BOTTOM, VR180
+from sph_stab_ros.config import EQUIRECT, HALF_SPHERE, LEFT_RIGHT, TOP_BOTTOM, VR180
 from sph_stab_ros.geometry.arrays import Image, Mask
 
 # Edges nearer to a pixel's border than that lie on it.
@@ -46,11 +46,13 @@ class Layout:
     """
     How a picture holds the sphere, of which it may show a part, or twice, for two eyes.
 
-    The part ``used`` of the picture shows the part ``shown`` of an equirectangular sphere.
+    The part ``used`` of the picture shows the part ``shown`` of an equirectangular sphere; where
+    ``projection`` is another one, the whole picture is what that says.
     """
 
     used: Part
     shown: Part = WHOLE
+    projection: str = EQUIRECT
 
     @property
     def in_sphere(self) -> 'Layout':

@@ -31,7 +31,8 @@ class Lens:
     A bearing at θ from the axis lies ``f t (1 + k1 t² + k2 t⁴ + k3 t⁶ + k4 t⁸)`` from the centre:
     t is θ, or 2 sin(θ / 2) of an equisolid lens, and f such that θ = 90° lies at ``radius_px``,
     down and up ``aspect`` times as far. The lens' frame is that of a camera: x to the right in the
-    picture, y down, z along the axis.
+    picture, y down, z along the axis. Its centre lies ``ahead`` along the axis of the middle that
+    bearings are from, as a share of the distance of everything: 0 where that is infinitely far.
     """
 
     center_px: tuple[float, float]
@@ -40,6 +41,7 @@ class Lens:
     R_camera_lens: Rotation
     aspect: float = 1.
     is_equisolid: bool = False
+    ahead: float = 0.
 
     def pixels(self, xyz: Bearings) -> tuple[Plane, Plane, Plane]:
         """
@@ -50,6 +52,8 @@ class Lens:
         x, y, z = cv2.split(cv2.transform(
             xyz, self.R_camera_lens.inv().as_matrix().astype(xyz.dtype)))
         rho = np.hypot(x, y)
+        if self.ahead:
+            z = z - xyz.dtype.type(self.ahead) * np.hypot(rho, z)
         theta = np.arctan2(rho, z)
         scale = self.radius_px * self._bent(self._t(theta)) / self._at_90
         # On the axis x and y are zero.
@@ -67,6 +71,11 @@ class Lens:
         theta = 2 * np.arcsin(np.minimum(t / 2, 1)) if self.is_equisolid else t
         xy = offsets * (np.sin(theta) / np.maximum(radius, 1e-9))[..., None]
         rays = np.concatenate((xy, np.cos(theta)[..., None]), axis=-1)
+        if self.ahead:
+            # On to the unit sphere around the middle.
+            along = self.ahead * rays[..., 2:]
+            rays = rays * (np.sqrt(along ** 2 + 1 - self.ahead ** 2) - along)
+            rays[..., 2] += self.ahead
         return rays @ self.R_camera_lens.as_matrix().T
 
     def scaled(self, scale_u: float, scale_v: float | None = None) -> 'Lens':

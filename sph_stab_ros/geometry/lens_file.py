@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,6 +25,8 @@ from sph_stab_ros.geometry.fisheye import fits
 POLYNOMIAL = ('equidistant', 'fisheye', 'equi')
 # The place of the second lens' picture: right of the first one's, or below it.
 SIDES = ((1, 0), (0, 1))
+# A picture's size, and options of LensConfig.
+Lens: TypeAlias = tuple[tuple[int, int], dict[str, float]]
 
 
 def is_lens_file(path: Path) -> bool:
@@ -56,7 +58,16 @@ def with_lens_file(config: FisheyeConfig, size_wh: tuple[int, int]) -> FisheyeCo
     """
     if not config.file:
         return config
-    (front_wh, front), *others = _lenses(config.file)
+    lenses = _lenses(config.file)
+    try:
+        return _with_lenses(config, lenses, size_wh)
+    except ConfigError as error:
+        raise ConfigError(f"'{config.file}' cannot be used as a calibration: {error}") from None
+
+
+def _with_lenses(config: FisheyeConfig, lenses: list[Lens], size_wh: tuple[int, int]
+                 ) -> FisheyeConfig:
+    (front_wh, front), *others = lenses
     as_camera = {'yaw_deg': 0., 'pitch_deg': 0., 'roll_deg': 0.}
     width, height = front_wh
     config = replace(config, width=width, height=height, file='', model=EQUIDISTANT,
@@ -74,8 +85,8 @@ def with_lens_file(config: FisheyeConfig, size_wh: tuple[int, int]) -> FisheyeCo
 
 
 @lru_cache(maxsize=4)
-def _lenses(path: str) -> list[tuple[tuple[int, int], dict[str, float]]]:
-    """Return the picture's size and the options of LensConfig of each lens in a file."""
+def _lenses(path: str) -> list[Lens]:
+    """Return each Lens in a file."""
     try:
         content = read_yaml(Path(path))
         if not isinstance(content, dict):
@@ -92,14 +103,14 @@ def _lenses(path: str) -> list[tuple[tuple[int, int], dict[str, float]]]:
     raise ConfigError(f"'{path}' cannot be read as a calibration: {reason}")
 
 
-def _of_ros(info: Mapping[str, Any]) -> tuple[tuple[int, int], dict[str, float]]:
+def _of_ros(info: Mapping[str, Any]) -> Lens:
     fx, _, cx, _, fy, cy, *_ = info['camera_matrix']['data']
     return ((int(info['image_width']), int(info['image_height'])), _lens(
         info['distortion_model'], (fx, fy, cx, cy), info['distortion_coefficients']['data']))
 
 
-def _of_kalibr(chain: Mapping[str, Any]) -> list[tuple[tuple[int, int], dict[str, float]]]:
-    lenses: list[tuple[tuple[int, int], dict[str, float]]] = []
+def _of_kalibr(chain: Mapping[str, Any]) -> list[Lens]:
+    lenses: list[Lens] = []
     for name in ('cam0', 'cam1'):
         if name not in chain and name != 'cam0':
             continue

@@ -12,11 +12,13 @@ import numpy as np
 
 from sph_stab_ros.config import (
     ConfigError, CROPPED_EQUIRECT, CUBEMAP, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP, FISHEYE,
-    FisheyeConfig, MIN_WIDTH, StabilizerConfig, STRETCHED_EQUIRECT)
+    FisheyeConfig, GOPRO_MAX, MIN_WIDTH, StabilizerConfig, STRETCHED_EQUIRECT)
 from sph_stab_ros.geometry.cropped_equirect import cropped_equirect, CroppedEquirect
 from sph_stab_ros.geometry.cubemap import cubemap, equi_angular_cubemap
 from sph_stab_ros.geometry.equirect import is_equirect
-from sph_stab_ros.geometry.fisheye import dual_fisheye, fits, single_fisheye
+from sph_stab_ros.geometry.fisheye import (
+    dual_fisheye, fits, lens_ahead, single_fisheye)
+from sph_stab_ros.geometry.gopro_max import gopro_max
 from sph_stab_ros.geometry.lens import lens_of
 from sph_stab_ros.geometry.lens_file import check_lens_file, with_lens_file
 from sph_stab_ros.geometry.projection import Equirect, Projection
@@ -51,6 +53,10 @@ def check_projection(config: StabilizerConfig) -> None:
     count = LENSES[config.projection]
     check_lens_file(config.fisheye, count)
     fisheye = with_lens_file(config.fisheye, (0, 0))
+    if count == 2 and 90 + np.rad2deg(np.arctan(lens_ahead(fisheye))) > fisheye.fov_deg / 2:
+        raise ConfigError(
+            f'what is so near as fisheye.seam_distance_m, {fisheye.seam_distance_m:g}, neither '
+            'lens sees at the border: fisheye.baseline_m is too large for fisheye.fov_deg')
     for name in ('front', 'rear')[:count]:
         if not lens_of(getattr(fisheye, name), fisheye.model).tells_apart(
                 np.deg2rad(fisheye.fov_deg / 2)):
@@ -78,15 +84,25 @@ def _projection(size_wh: tuple[int, int], config: StabilizerConfig) -> Projectio
         return cropped_equirect(config.crop, size_wh)
     if config.projection == EQUI_ANGULAR_CUBEMAP:
         return equi_angular_cubemap(size_wh)
+    if config.projection == GOPRO_MAX:
+        both = gopro_max(size_wh)
+        if both is None:
+            raise ProjectionError(
+                'not a GoPro Max', 'its two tracks, one above the other (join), make 4096x2688 '
+                f'or 2272x1472, this is {width}x{height}')
+        return both
     if config.projection == CUBEMAP:
         found = cubemap(config.cubemap.order, config.cubemap.turns, size_wh)
         if found is None:
             raise ProjectionError('not a cubemap', 'six square faces lie 3x2, 6x1, 1x6 or 4x3, '
                                   f'this is {width}x{height}')
         return found
+    if abs(width - 2 * height) == 1:
+        # As near as odd numbers of columns come.
+        return CroppedEquirect(size_wh)
     if not is_equirect((height, width)):
         raise ProjectionError('not 2:1', 'an equirectangular image is twice as wide as high, this '
-                              f'is {width}x{height}')
+                              f'is {width}x{height}; -p projection:=... says what else it shows')
     return Equirect(width)
 
 

@@ -98,7 +98,7 @@ def read_tum(path: str | Path) -> Trajectory:
     quaternions: list[list[float]] = []
     left_out = 0
     try:
-        text = Path(path).read_text()
+        text = Path(path).read_text('utf-8-sig')
     except UnicodeDecodeError:
         raise ValueError(f'{path} is not a text') from None
     for number, line in enumerate(text.splitlines(), 1):

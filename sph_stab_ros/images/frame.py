@@ -52,7 +52,8 @@ class Frame:
     Projection's business, and whether its size fits the Stabilizer's. ``stamp_ns`` is the header's
     or the container's time; ``frame_id`` names the camera's frame. ``times`` is what a
     PictureClock made of the stamp; without, the stamp is taken as it is. ``layout`` is where the
-    picture holds the sphere, as far as a recording says so, and ``colour`` what its values mean.
+    picture holds the sphere, as far as a recording says so, and ``refusal`` why that cannot be
+    read unless somebody knows better; ``colour`` is what its values mean.
     """
 
     source: PictureSource
@@ -61,6 +62,7 @@ class Frame:
     times: PictureTime | None = None
     layout: Layout | None = None
     colour: Colour | None = None
+    refusal: Exception | None = None
 
     @property
     def time_ns(self) -> int:

@@ -16,10 +16,12 @@ from sph_stab_ros.config import (
 from sph_stab_ros.images.appearance import Appearance, reduced, Seen, seen_in, SIDE_PX
 from sph_stab_ros.images.frame import Frame, frame_from_message
 from sph_stab_ros.images.image_error import ImageError
-from sph_stab_ros.images.sphere import as_sphere
+from sph_stab_ros.images.sphere import as_sphere, config_for
 
 # Which pictures are looked at: the first ones, and of the others one of so many.
 FIRST, SELDOM = 3, 100
+# Smaller ones show nothing to go by.
+MIN_SIDE_PX = 16
 # How many looks in a row must say the same.
 AGREEING = 3
 # Circles are not found more exactly.
@@ -67,13 +69,15 @@ class PictureWatch:
         if self._number >= FIRST and self._number % SELDOM:
             return ''
         try:
-            frame = as_sphere(
-                picture if isinstance(picture, Frame) else frame_from_message(picture, 0),
-                self.config)
+            frame = picture if isinstance(picture, Frame) else frame_from_message(picture, 0)
+            config = config_for(frame, self.config)
+            frame = as_sphere(frame, config)
+            if min(frame.size_wh) < MIN_SIDE_PX:
+                return ''
             seen = seen_in(reduced(frame.grey(SIDE_PX)))
         except ImageError:
             return ''
-        hint = hint_of(seen, self.config.projection) if seen else ''
+        hint = hint_of(seen, config.projection) if seen else ''
         self._looks = self._looks + 1 if hint == self._last else 1
         self._last = hint
         if self._looks >= AGREEING:

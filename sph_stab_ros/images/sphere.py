@@ -6,30 +6,64 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""Frames of one eye or of a part of the sphere as frames of a sphere."""
+"""Frames as a recording's metadata and a config say that they show the sphere."""
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
+
+from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import AUTO, EQUIRECT, StabilizerConfig
 from sph_stab_ros.geometry.arrays import Grey, Image, Raster
 from sph_stab_ros.geometry.layout import Layout, LAYOUTS
+from sph_stab_ros.geometry.projection import Equirect
+from sph_stab_ros.geometry.projection_factory import projection_of
+from sph_stab_ros.geometry.warp import equirect_warp
 from sph_stab_ros.images.frame import Frame
+
+
+def config_for(frame: Frame, config: StabilizerConfig) -> StabilizerConfig:
+    """
+    Return the config by which a Frame is read.
+
+    Metadata have their say where the config leaves it to them; the Frame's refusal is raised then.
+    """
+    if config.projection != EQUIRECT or config.layout != AUTO:
+        return config
+    if frame.refusal is not None:
+        raise frame.refusal
+    projection = EQUIRECT if frame.layout is None else frame.layout.projection
+    return config if projection == EQUIRECT else _with_projection(config, projection)
+
+
+@lru_cache(maxsize=1)
+def _with_projection(config: StabilizerConfig, projection: str) -> StabilizerConfig:
+    return replace(config, projection=projection)
 
 
 def as_sphere(frame: Frame, config: StabilizerConfig) -> Frame:
     """
     Return a Frame whose picture is an equirectangular sphere, as far as layouts are concerned.
 
-    One eye is taken of two, and what is not seen is black; the Frame's layout tells what is.
+    One eye is taken of two, and what is not seen is black; the Frame's layout tells what is. The
+    config is that of ``config_for``.
     """
     layout = frame.layout if config.layout == AUTO else LAYOUTS.get(config.layout)
-    if config.projection != EQUIRECT:
+    if layout is None or config.projection != EQUIRECT:
         # Where what a picture shows is the Projection's business, metadata have no say.
         return replace(frame, layout=None)
-    if layout is None:
-        return frame
     return replace(frame, source=SphereOf(frame, layout), layout=layout.in_sphere)
+
+
+def stitched(frame: Frame, config: StabilizerConfig) -> Frame:
+    """Return the Frame as an equirectangular sphere, not turned, or raise ProjectionError."""
+    config = config_for(frame, config)
+    frame = as_sphere(frame, config)
+    projection = projection_of(frame.size_wh, config)
+    if isinstance(projection, Equirect):
+        return frame
+    warp = equirect_warp(projection.sphere_width)
+    return replace(frame, source=warp(frame.image, Rotation.identity(), projection))
 
 
 class SphereOf:

@@ -18,7 +18,9 @@ from threading import Event, Thread
 from time import monotonic, monotonic_ns, time_ns
 from typing import Any, NamedTuple, Protocol, TYPE_CHECKING
 
+from sph_stab_ros.config import NOT_JOINED
 from sph_stab_ros.images.image_error import ImageError
+from sph_stab_ros.images.joined import JoinedPicture, Pairing, tracks_of
 from sph_stab_ros.live.address import Address, Kind, SourceError
 from sph_stab_ros.live.capture_clock import CaptureClock
 from sph_stab_ros.live.connection import (
@@ -50,7 +52,7 @@ class Log(Protocol):
 class LivePicture(NamedTuple):
     """A picture, its stamp in ns since 1970, and when it came in by the steady clock."""
 
-    source: LiveImage
+    source: LiveImage | JoinedPicture
     stamp_ns: int
     received_s: float
 
@@ -89,14 +91,17 @@ class LiveSource:
         Told in one line of what users should hear of: a ``logging.Logger`` or one of rclpy's.
     refuse
         Told of each picture that cannot be used.
+    join
+        How to put the pictures of two tracks together, ``left_right``, ``top_bottom`` or not.
 
     """
 
     def __init__(self, address: Address, take: Callable[[LivePicture], Any],
-                 log: Log, refuse: Callable[[ImageError], Any]) -> None:
+                 log: Log, refuse: Callable[[ImageError], Any], join: str = NOT_JOINED) -> None:
         require_pyav(address)
         self.state = SourceState()
-        self._address = address
+        self._address, self._join = address, join
+        self._pairing: Pairing[LiveImage] = Pairing()
         self._take, self._log, self._refuse = take, log, refuse
         self._clock = CaptureClock()
         self._closing = Event()
@@ -140,15 +145,20 @@ class LiveSource:
     def _read(self) -> None:
         """Read until nothing more comes."""
         with opened(self._address) as container:
-            if not container.streams.video:
+            tracks = tracks_of(container, self._join)
+            if not tracks:
                 raise SourceError('there is no video in what comes')
-            stream = container.streams.video[0]
-            decoder = PacketDecoder(stream, self._log.warning)
+            if self._join != NOT_JOINED and len(tracks) < 2:
+                raise SourceError('there is no second video track of the same size to join')
+            decoders = [PacketDecoder(track, self._log.warning) for track in tracks]
+            self._pairing = Pairing()
             pace = Pace(self._closing) if is_recording(self._address, container) else None
             backlog, is_timed = Backlog(), has_times(container)
             self._clock.restart()
             backlog.begin(monotonic(), 0.)
-            for packet in container.demux(stream):
+            for packet in container.demux(tracks):
+                track = tracks.index(packet.stream)
+                decoder = decoders[track]
                 if pace:
                     pace.wait(packet)
                 if self._closing.is_set():
@@ -163,10 +173,11 @@ class LiveSource:
                     self.state = self.state._replace(left_out=self.state.left_out + 1)
                 else:
                     for shown_ns, outcome in decoder.decode(packet, pts_ns, arrival_ns):
-                        self._give(shown_ns, outcome, arrival_ns, decoder.codec)
+                        self._give(track, shown_ns, outcome, arrival_ns, decoder.codec)
                 backlog.begin(monotonic(), monotonic() - received_s)
-            for shown_ns, outcome in decoder.flush():
-                self._give(shown_ns, outcome, time_ns(), decoder.codec)
+            for track, decoder in enumerate(decoders):
+                for shown_ns, outcome in decoder.flush():
+                    self._give(track, shown_ns, outcome, time_ns(), decoder.codec)
 
     def _hear_clock(self, packet: 'av.Packet[Any]', pts_ns: int | None, arrival_ns: int) -> None:
         if pts_ns is None:
@@ -177,14 +188,20 @@ class LiveSource:
         elif (told := sender_time(packet)) is not None:
             self._clock.hear_sender(told, pts_ns)
 
-    def _give(self, pts_ns: int | None, outcome: LiveImage | ImageError, arrival_ns: int,
-              codec: str) -> None:
-        """Pass on a picture, or why there is none."""
+    def _give(self, track: int, pts_ns: int | None, outcome: LiveImage | ImageError,
+              arrival_ns: int, codec: str) -> None:
+        """Pass on a track's picture, with the other track's if they are joined, or why not."""
         if isinstance(outcome, ImageError):
             self._refuse(outcome)
             return
+        picture: LiveImage | JoinedPicture = outcome
+        if self._join != NOT_JOINED:
+            pair = self._pairing.add(track, arrival_ns if pts_ns is None else pts_ns, outcome)
+            if pair is None:
+                return
+            picture = JoinedPicture(*pair, self._join)
         stamp_ns = self._clock.stamp_ns(pts_ns, arrival_ns)
-        width, height = size_wh = outcome.size_wh
+        width, height = size_wh = picture.size_wh
         old = self.state
         self.state = SourceState(
             CONNECTED, '', codec, size_wh, self._clock.name,
@@ -193,7 +210,7 @@ class LiveSource:
             self._log.info(f'{self._address.name}: {codec}, {width}x{height}')
         elif old.size_wh != size_wh:
             self._log.warning(f'{self._address.name}: the pictures are {width}x{height} now')
-        self._take(LivePicture(outcome, stamp_ns, monotonic()))
+        self._take(LivePicture(picture, stamp_ns, monotonic()))
 
     def _lose(self, why: str, is_over: bool) -> None:
         """Take note of why nothing comes, and say it once."""

@@ -15,6 +15,7 @@ import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from sph_stab_ros.config import NOT_JOINED
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame
 from sph_stab_ros.images.frame import Frame, PictureSource
 from sph_stab_ros.images.image_error import DecoderMissing
@@ -26,6 +27,7 @@ from sph_stab_ros.images.video.picture import VideoPicture
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.containers import Channel, Containers
 from sph_stab_ros.recording.containers.limits import Damage
+from sph_stab_ros.recording.joined import joined
 from sph_stab_ros.recording.message_types import decoded, IMAGE_TYPES, is_known
 from sph_stab_ros.recording.picture_times import first_stamp, peeked, with_times, within
 
@@ -50,28 +52,29 @@ class BagRecording:
 
     Messages are decoded by ROS's own definitions of the standard types, so that neither a bag
     without definitions nor one with unusual messages beside the images is an obstacle. Of a bag
-    that was cut short or damaged all that is whole is read.
+    that was cut short or damaged all that is whole is read. The pictures of two topics, with a
+    comma between, are joined as ``join`` says.
     """
 
-    def __init__(self, path: Path, image_topic: str | None = None, stretch: Stretch = Stretch()
-                 ) -> None:
+    def __init__(self, path: Path, image_topic: str | None = None, stretch: Stretch = Stretch(),
+                 join: str = NOT_JOINED) -> None:
         self.path = path
-        self._stretch = stretch
+        self._stretch, self._join = stretch, join
         self.name = path.name
         self._containers = Containers(path)
         counts: Counter[str] = Counter()
         self.topics: dict[str, str] = {}
-        for channel, count in self._containers.channels.items():
-            # A damaged definition may contradict a whole one.
-            if channel.topic not in self.topics or is_known(channel.msgtype, channel.encoding):
-                self.topics[channel.topic] = channel.msgtype
-            counts[channel.topic] += count
+        # Of a topic of several types it is that of images; a definition may be damaged, too.
+        for channel in sorted(self._containers.channels, key=lambda one: (
+                one.msgtype in IMAGE_TYPES, is_known(one.msgtype, one.encoding))):
+            self.topics[channel.topic] = channel.msgtype
+            counts[channel.topic] += self._containers.channels[channel]
         if not self.topics:
             raise RecordingError(f'{path} is not a readable bag: it holds no messages; damaged, '
                                  'encrypted or something else')
-        self._images = self._choose_image_topic(image_topic, counts)
-        self.image_topic: str | None = self._images
-        self.frame_count: int | None = counts[self._images]
+        self._images = self._choose_image_topics(image_topic, counts)
+        self.image_topic: str | None = self._images[0]
+        self.frame_count: int | None = counts[self._images[0]]
         self._skip_log = SkipLog(self.name)
 
     @property
@@ -86,29 +89,37 @@ class BagRecording:
     def frames(self) -> Generator[Frame, None, None]:
         """Yield the Frames of the image topic; header stamps, or times of receipt without any."""
         self._skip_log = SkipLog(self.name)
-        first, pictures = peeked(self._pictures())
+        if self._join == NOT_JOINED:
+            yield from self._frames(*self._images)
+        else:
+            first, second = map(self._frames, self._images)
+            yield from joined(first, second, self._join, self._skip_log)
+
+    def _frames(self, topic: str) -> Iterator[Frame]:
+        first, pictures = peeked(self._pictures(topic))
         known = first_stamp([first[0]]) if first else None
         if first and known is None:
             # Only here, as it takes to read the beginning twice.
-            known = first_stamp(taken.stamp for taken, _ in islice(self._taken(), MAX_UNSTAMPED))
+            known = first_stamp(
+                taken.stamp for taken, _ in islice(self._taken(topic), MAX_UNSTAMPED))
         timed = with_times(self.name, pictures, PictureClock(first=known))
         for times, (frame_id, source) in within(self.name, timed, self._stretch):
             colour = source.colour if isinstance(source, VideoPicture) else None
             yield Frame(source, times.stamp_ns, frame_id, times, colour=colour)
 
-    def _taken(self) -> Iterator[tuple[Taken, Any]]:
-        """Yield the messages of the image topic, and when they were taken."""
-        for received_ns, msg in self.messages(self._images):
+    def _taken(self, topic: str) -> Iterator[tuple[Taken, Any]]:
+        """Yield the messages of an image topic, and when they were taken."""
+        for received_ns, msg in self.messages(topic):
             stamp_ns, frame_id = stamp_and_frame(msg)
             yield Taken(Stamp(stamp_ns or None, received_ns), frame_id), msg
 
-    def _pictures(self) -> Iterator[tuple[Stamp, tuple[str, PictureSource]]]:
-        """Yield the pictures of the image topic in the order of presentation."""
+    def _pictures(self, topic: str) -> Iterator[tuple[Stamp, tuple[str, PictureSource]]]:
+        """Yield the pictures of an image topic in the order of presentation."""
         decoder: MessageDecoder[Taken] = MessageDecoder(
             lambda text: logger.warning('%s: %s', self.name, text))
 
         def outcomes() -> Iterator[tuple[Taken, PictureSource | ImageError]]:
-            for taken, msg in self._taken():
+            for taken, msg in self._taken(topic):
                 yield from decoder.decode(msg, taken, taken.stamp)
             yield from decoder.flush()
         try:
@@ -152,8 +163,19 @@ class BagRecording:
             logger.warning('%s is truncated or damaged: %d messages of %s were read',
                            self.name, count, topic)
 
+    def _choose_image_topics(self, wanted: str | None, counts: Counter[str]) -> list[str]:
+        """Return the topic to read images from, or both; RecordingError if that is not clear."""
+        if self._join == NOT_JOINED:
+            return [self._choose_image_topic(wanted, counts)]
+        topics = (wanted or '').split(',')
+        if len(topics) != 2:
+            raise RecordingError(
+                f'{self.path}: join puts the pictures of two topics together, name them with '
+                f'--image-topic A,B; it has {self._listed()}')
+        return [self._choose_image_topic(topic, counts) for topic in topics]
+
     def _choose_image_topic(self, wanted: str | None, counts: Counter[str]) -> str:
-        """Return the topic to read images from, RecordingError if that is not clear."""
+        """Return a topic to read images from, RecordingError if that is not clear."""
         candidates = [topic for topic, msgtype in self.topics.items() if msgtype in IMAGE_TYPES]
         if wanted is not None:
             if wanted not in candidates:

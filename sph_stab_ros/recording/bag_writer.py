@@ -19,6 +19,8 @@ from sph_stab_ros.geometry.arrays import Image
 from sph_stab_ros.recording import messages
 
 METADATA_VERSION: Final = 9
+# What is in its folder.
+FILES = ('metadata.yaml', '*.mcap')
 
 
 class BagWriter:

@@ -8,6 +8,8 @@
 
 """PyAV, which reads and writes videos, or what to do where there is none."""
 
+from pathlib import Path
+
 from sph_stab_ros.images.video.decoder import INSTALL
 from sph_stab_ros.recording.base import RecordingError
 
@@ -16,4 +18,9 @@ try:
 except ImportError:
     raise RecordingError(f'a video {INSTALL}') from None
 
-__all__ = ['av']
+__all__ = ['av', 'url_of']
+
+
+def url_of(path: Path) -> str:
+    """Return what FFmpeg takes for a file: before a colon it looks for a protocol otherwise."""
+    return f'file:{path}'

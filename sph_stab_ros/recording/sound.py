@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.recording.pyav import av
+from sph_stab_ros.recording.pyav import av, url_of
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class Sound:
         self._first_ns = first_ns
         self._is_damaged = False
         self._stack = ExitStack()
-        container = self._stack.enter_context(av.open(str(source), metadata_errors='replace'))
+        container = self._stack.enter_context(av.open(url_of(source), metadata_errors='replace'))
         self._streams: dict[int, Any] = {}
         for stream in container.streams.audio:
             if not can_hold(target.format.name, source, stream.index):
@@ -132,7 +132,8 @@ class Sound:
 def can_hold(format_name: str, source: Path, index: int) -> bool:
     """Tell whether a stream can be copied into a format: some muxers learn it from packets."""
     try:
-        with av.open(io.BytesIO(), 'w', format_name) as trial, av.open(str(source)) as container:
+        with (av.open(io.BytesIO(), 'w', format_name) as trial,
+              av.open(url_of(source)) as container):
             stream = container.streams[index]
             if stream.codec_context is None:
                 return False

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Which eye and which part of the sphere a video's metadata say its pictures show.
+Which eye, which part of the sphere and which projection a video's metadata say its pictures show.
 
 FFmpeg reads them: Google's spherical metadata, version 1 (XML in a uuid box of MP4 files) and
 version 2 (boxes st3d and sv3d), those of Matroska, and the frame packing of H.264 and H.265. It
@@ -20,15 +20,17 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 import re
 from struct import unpack_from
+from typing import NamedTuple
 
+from sph_stab_ros.config import CUBEMAP, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP, FISHEYE, VR180
 from sph_stab_ros.geometry.layout import FRONT, Layout, LEFT_HALF, Part, TOP_HALF, WHOLE
 from sph_stab_ros.recording.base import RecordingError
 from sph_stab_ros.recording.spherical_boxes import (
     boxes, index_of, is_video, STSD_HEADER_BYTES, UUID)
 
 # AVSphericalProjection.
-EQUIRECTANGULAR, TILE, HALF_EQUIRECTANGULAR = 0, 2, 3
-OTHER_PROJECTIONS = {1: 'a cube map', 4: 'rectilinear', 5: 'fisheye', 6: 'parametric immersive'}
+EQUIRECTANGULAR, CUBE, TILE, HALF_EQUIRECTANGULAR = range(4)
+OTHER_PROJECTIONS = {4: 'rectilinear', 5: 'fisheye', 6: 'parametric immersive'}
 # AVStereo3DType and the flag that the right eye comes first.
 MONO, SIDE_BY_SIDE, TOP_BOTTOM = 0, 1, 2
 RIGHT_FIRST = 1
@@ -36,28 +38,57 @@ OTHER_PACKINGS = {3: 'alternate pictures', 4: 'a checkerboard', 5: 'a quincunx',
                   7: 'columns'}
 SPHERICAL, STEREO = 'SPHERICAL', 'STEREO3D'
 CROPPED = re.compile(rb'<GSpherical:(\w+)Pixels>\s*(\d+)\s*<')
+NAMED = re.compile(rb'<GSpherical:ProjectionType>\s*([^<]*?)\s*<')
 # In a sample entry of video, before its boxes.
 VISUAL_SAMPLE_ENTRY_BYTES = 78
-# In a box proj: a header, and what FFmpeg knows.
-READ_PROJECTIONS = (b'prhd', b'equi', b'cbmp')
-UNREAD_PROJECTIONS = {b'mshp': 'a mesh'}
+# In a box proj: a header, what FFmpeg knows, and what it knows the first layout of.
+HEADER, EQUIRECTANGULAR_BOX, CUBE_BOX = b'prhd', b'equi', b'cbmp'
+# By their names in boxes and in XML.
+NAMES = {b'mshp': 'a mesh', b'ytmp': 'a mesh', b'cubemap': 'a cube map'}
+READ_BY = {
+    'a mesh': f"-p projection:={EQUI_ANGULAR_CUBEMAP} reads YouTube's cubes, -p layout:={VR180} "
+    'its half spheres',
+    'fisheye': f"-p projection:={FISHEYE} or {DUAL_FISHEYE} reads them, by the lenses' "
+    'calibration in fisheye.*'}
+ANYTHING_ELSE = '-p projection:=... or layout:=... says otherwise'
 # Of an eye's picture: wider ones show a whole sphere where nothing is said.
 MAX_HALF_SPHERE_ASPECT = 1.25
 
 
+class InBoxes(NamedTuple):
+    """
+    What FFmpeg does not read of an MP4 file's metadata.
+
+    Which part of the sphere version 1 says is shown, None where it does not; and which projection
+    it is, where nobody has told FFmpeg of that, else nothing.
+    """
+
+    cropped: Part | None = None
+    projection: str = ''
+
+
 def layout_of(side_data: Mapping[str, bytes], size_wh: tuple[int, int],
-              cropped: Part | None = None) -> Layout | None:
+              in_boxes: InBoxes = InBoxes()) -> Layout | None:
     """
     Return the Layout of pictures (width, height), None of a whole sphere or where nothing is said.
 
-    ``side_data`` are FFmpeg's by their names, ``cropped`` is what boxes_say() returns.
+    ``side_data`` are FFmpeg's by their names, ``in_boxes`` is what boxes_say() returns.
     RecordingError, without the name of the recording, where the pictures are of a kind that is not
     read.
     """
     eye = _eye(side_data.get(STEREO))
-    shown = _shown(side_data.get(SPHERICAL))
-    if cropped is not None and shown == WHOLE:
-        shown = cropped
+    spherical = side_data.get(SPHERICAL)
+    projection = in_boxes.projection or _other_projection(spherical)
+    if projection == 'a cube map' and eye == WHOLE:
+        return Layout(WHOLE, projection=CUBEMAP)
+    if projection:
+        eyes = '' if eye == WHOLE else ' for each of two eyes'
+        raise RecordingError(
+            f'its metadata say that the pictures are {projection}{eyes}, which is not read: '
+            f'{READ_BY.get(projection, ANYTHING_ELSE)}')
+    shown = _shown(spherical)
+    if in_boxes.cropped is not None and shown == WHOLE:
+        shown = in_boxes.cropped
     if shown is None:
         left, top, right, bottom = eye.edges_px(size_wh)
         is_half = eye != WHOLE and right - left < MAX_HALF_SPHERE_ASPECT * (bottom - top)
@@ -65,22 +96,17 @@ def layout_of(side_data: Mapping[str, bytes], size_wh: tuple[int, int],
     return None if eye == shown == WHOLE else Layout(eye, shown)
 
 
-def boxes_say(path: Path) -> tuple[Part | None, str]:
-    """
-    Return what FFmpeg does not read of an MP4 file's metadata.
-
-    That is which part of the sphere version 1 says is shown, None where it does not, and the name
-    of version 2's projection where it is one that nobody has told FFmpeg of.
-    """
+def boxes_say(path: Path) -> InBoxes:
+    """Return what FFmpeg does not read of a file's metadata, nothing where it is no MP4 file."""
     try:
         with path.open('rb') as file:
             tracks = [track for track in inside(index_of(file), b'trak') if is_video(track)]
-        return (next(map(_cropped_area, (data[len(UUID):] for track in tracks
-                                         for data in inside(track, b'uuid')
-                                         if data.startswith(UUID))), None),
-                next(filter(None, map(_unread_projection, tracks)), ''))
+        xml = next((data[len(UUID):] for track in tracks for data in inside(track, b'uuid')
+                    if data.startswith(UUID)), b'')
+        in_boxes = next(filter(None, map(_projection_in_box, tracks)), '')
+        return InBoxes(_cropped_area(xml), in_boxes or _projection_in_xml(xml))
     except (OSError, ValueError):
-        return None, ''
+        return InBoxes()
 
 
 def _cropped_area(xml: bytes) -> Part | None:
@@ -96,16 +122,32 @@ def _cropped_area(xml: bytes) -> Part | None:
     return part if part.left < part.right <= 1 and part.top < part.bottom <= 1 else None
 
 
-def _unread_projection(track: bytes) -> str:
-    """Return the name of a track's projection that is not read, else nothing."""
+def _projection_in_xml(xml: bytes) -> str:
+    """Return which projection version 1 names, nothing where FFmpeg reads it."""
+    found = NAMED.search(xml)
+    return _named(found[1]) if found and found[1] != b'equirectangular' else ''
+
+
+def _projection_in_box(track: bytes) -> str:
+    """Return which projection a track is of, nothing where FFmpeg reads it."""
     for table in inside(track, b'mdia', b'minf', b'stbl', b'stsd'):
         for entry in boxes(table[STSD_HEADER_BYTES:]):
             data = table[STSD_HEADER_BYTES + entry.content:STSD_HEADER_BYTES + entry.end]
             for projection in inside(data[VISUAL_SAMPLE_ENTRY_BYTES:], b'sv3d', b'proj'):
                 for box in boxes(projection):
-                    if box.name not in READ_PROJECTIONS:
-                        return UNREAD_PROJECTIONS.get(box.name, f"'{box.name.decode('latin-1')}'")
+                    if box.name == CUBE_BOX:
+                        # Behind version and flags.
+                        layout = projection[box.content + 4:box.content + 8]
+                        return f'a cube map of another layout ({layout.hex()})' if any(
+                            layout) else ''
+                    if box.name not in (HEADER, EQUIRECTANGULAR_BOX):
+                        return _named(box.name)
     return ''
+
+
+def _named(name: bytes) -> str:
+    """Return what to call a projection."""
+    return NAMES.get(name, f"'{name.decode('latin-1')}'")
 
 
 def inside(data: bytes, *names: bytes) -> Iterator[bytes]:
@@ -131,14 +173,23 @@ def _eye(stereo: bytes | None) -> Part:
     return WHOLE
 
 
+def _other_projection(spherical: bytes | None) -> str:
+    """Return which projection FFmpeg says it is, nothing of an equirectangular one."""
+    if spherical is None:
+        return ''
+    projection, = unpack_from('=i', spherical)
+    if projection != CUBE:
+        return OTHER_PROJECTIONS.get(projection, '')
+    # Behind the angles and the four bounds.
+    padding_px, = unpack_from('=I', spherical, 32)
+    return f'a cube map with {padding_px} px of padding' if padding_px else 'a cube map'
+
+
 def _shown(spherical: bytes | None) -> Part | None:
     """Return which part of the sphere an eye's picture shows, None where nothing is said."""
     if spherical is None:
         return None
-    projection, *_ = unpack_from('=4i', spherical)
-    if projection in OTHER_PROJECTIONS:
-        raise RecordingError(f'its metadata say that the pictures are '
-                             f'{OTHER_PROJECTIONS[projection]}, which is not read')
+    projection, = unpack_from('=i', spherical)
     if projection == HALF_EQUIRECTANGULAR:
         return FRONT
     if projection != TILE:

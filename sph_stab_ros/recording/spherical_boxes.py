@@ -33,6 +33,8 @@ XML = (
     '</rdf:SphericalVideo>').encode()
 # Boxes that hold nothing but boxes, on the way to what is changed.
 CONTAINERS = (b'moov', b'trak', b'mdia', b'minf', b'stbl')
+# Of files whose index is written last.
+FIRST_BOXES = (b'ftyp', b'wide', b'mdat')
 # In stsd, before the sample entries.
 STSD_HEADER_BYTES = 8
 # Where media lie: the formats of their offsets by the box that holds them.
@@ -150,6 +152,20 @@ def boxes(data: bytes) -> Iterator[Box]:
     while start + 8 <= len(data) and any(data[start:start + 8]):
         yield (box := box_at(data[start:start + 16], start, len(data)))
         start = box.end
+
+
+def is_without_index(path: Path) -> bool:
+    """Tell whether a file is an MP4 or MOV file whose recorder did not live to write its index."""
+    try:
+        with path.open('rb') as file:
+            if file.read(8)[4:] not in FIRST_BOXES:
+                return False
+            index_of(file)
+    except ValueError:
+        return True
+    except OSError:
+        pass
+    return False
 
 
 def index_of(file: BinaryIO) -> bytes:

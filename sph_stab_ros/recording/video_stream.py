@@ -45,6 +45,8 @@ class PictureStream:
     ----------
     container
         Just opened.
+    stream
+        Which of its tracks to read.
     name
         Of the recording, for the log.
     skip_log
@@ -52,12 +54,12 @@ class PictureStream:
 
     """
 
-    def __init__(self, container: 'av.container.InputContainer', name: str, skip_log: SkipLog
-                 ) -> None:
+    def __init__(self, container: 'av.container.InputContainer', stream: 'av.VideoStream',
+                 name: str, skip_log: SkipLog) -> None:
         self._container = container
         self._name = name
         self._skip_log = skip_log
-        self.stream = container.streams.video[0]
+        self.stream = stream
         self.stream.thread_type = 'AUTO'
         self.rate = rate_of(self.stream)
         self.duration_s = duration_s(container, self.stream)
@@ -84,9 +86,12 @@ class PictureStream:
             self._counted_from_ns = -math.inf
             return first_ns, from_beginning
         if self.stream.start_time is not None and self.stream.time_base:
-            # The first picture may be damaged.
-            first_ns = min(first_ns, round(
-                self.stream.start_time * self.stream.time_base * NS_PER_S))
+            # The first picture may be damaged, or be made of others that are not there.
+            begin_ns = round(self.stream.start_time * self.stream.time_base * NS_PER_S)
+            if first_ns - begin_ns > NS_PER_S / self.rate and not self._skip_log.counts:
+                logger.warning('%s begins without a key picture: its first %.3f s cannot be '
+                               'decoded', self._name, (first_ns - begin_ns) / NS_PER_S)
+            first_ns = min(first_ns, begin_ns)
         if start_ns <= 0:
             return first_ns, from_beginning
         self._counted_from_ns = first_ns + start_ns

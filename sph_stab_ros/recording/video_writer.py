@@ -28,7 +28,7 @@ from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.images.video.encoders import EncoderError, FORMATS, usable_format
 from sph_stab_ros.images.video.picture import plane_of, range_tag
 from sph_stab_ros.recording.base import RecordingError
-from sph_stab_ros.recording.pyav import av
+from sph_stab_ros.recording.pyav import av, url_of
 from sph_stab_ros.recording.sound import Sound
 from sph_stab_ros.recording.spherical_boxes import write_spherical
 
@@ -77,7 +77,7 @@ class VideoWriter:
         self._encoder = encoder
 
     def __enter__(self) -> 'VideoWriter':
-        self._container = av.open(str(self.path), 'w')
+        self._container = av.open(url_of(self.path), 'w')
         # Begun with the first picture, whose size and colours it has.
         self._stream: Any = None
         self._sound: Sound | None = None

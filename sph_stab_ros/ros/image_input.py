@@ -13,10 +13,11 @@ from time import monotonic
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
-from sph_stab_ros.config import NodeConfig
+from sph_stab_ros.config import NodeConfig, NOT_JOINED
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame, video_codec
-from sph_stab_ros.images.frame import Frame, source_from_message
+from sph_stab_ros.images.frame import Frame, PictureSource, source_from_message
+from sph_stab_ros.images.joined import JoinedPicture
 from sph_stab_ros.images.jpeg import JpegFile
 from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import PictureTime, Stamp
@@ -31,24 +32,35 @@ MOST_UNDECODED = 30
 
 
 class ReceivedImage(NamedTuple):
-    """A message that holds a picture, or the picture of a source or a decoder."""
+    """
+    A message that holds a picture, or the picture of a source or a decoder.
+
+    ``other`` is another lens', and ``join`` says how to put the two together.
+    """
 
     content: Any
     stamp_ns: int
     frame_id: str
     received_s: float
+    other: Any = None
+    join: str = NOT_JOINED
 
     def frame(self, times: PictureTime) -> Frame:
         """Return the Frame of it, whose times these are; ImageError where there is no picture."""
-        content = self.content
-        is_picture = isinstance(content, (VideoPicture, JpegFile))
-        return Frame(content if is_picture else source_from_message(content),
-                     times.stamp_ns, self.frame_id, times)
+        source = _source_of(self.content)
+        if self.join != NOT_JOINED:
+            source = JoinedPicture(source, _source_of(self.other), self.join)
+        return Frame(source, times.stamp_ns, self.frame_id, times)
+
+
+def _source_of(content: Any) -> PictureSource:
+    is_picture = isinstance(content, (VideoPicture, JpegFile, JoinedPicture))
+    return content if is_picture else source_from_message(content)
 
 
 class ImageInput:
     """
-    Subscribes to ``image`` by a transport, and says why nothing comes.
+    Subscribes to ``image``, or another topic, by a transport, and says why nothing comes.
 
     Messages of compressed video are all decoded, in a thread that does nothing else.
 
@@ -65,7 +77,7 @@ class ImageInput:
     """
 
     def __init__(self, node: Node, config: NodeConfig, take: Callable[[ReceivedImage], None],
-                 diagnostics: Diagnostics) -> None:
+                 diagnostics: Diagnostics, topic: str = 'image') -> None:
         transport = config.image_transport
         self._node = node
         self._take = take
@@ -73,7 +85,7 @@ class ImageInput:
         self._decoder: MessageDecoder[ReceivedImage] = MessageDecoder(
             lambda text: diagnostics.event('key_picture', text), is_live=True)
         self._decoding = Worker('decoding', self._decode, MOST_UNDECODED)
-        images = subscribe_to_images(node, 'image', transport, self._on_image)
+        images = subscribe_to_images(node, topic, transport, self._on_image)
         self.name: str = images.topic_name
         self._silence = SilenceWatch(node, images, transport)
 

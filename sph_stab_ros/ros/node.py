@@ -51,7 +51,7 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 from rclpy.signals import uninstall_signal_handlers
 from sph_stab_ros.command_line import one_line, Parser
 from sph_stab_ros.command_line.process_setup import bounded_ending, give_back_freed_memory
-from sph_stab_ros.config import ConfigError, IMU
+from sph_stab_ros.config import ConfigError, IMU, NOT_JOINED
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
@@ -61,6 +61,7 @@ from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.ros.diagnostics import Diagnostics, LOG_PERIOD_S, ThrottledLog
 from sph_stab_ros.ros.image_input import ImageInput, ReceivedImage
 from sph_stab_ros.ros.imu_input import ImuInput
+from sph_stab_ros.ros.joined_input import JoinedInput
 from sph_stab_ros.ros.parameters import changed, declare_parameters, undeclared_overrides
 from sph_stab_ros.ros.publishers import Outputs
 from sph_stab_ros.ros.source_input import SourceInput
@@ -97,8 +98,9 @@ class StabilizerNode(Node):
         # orientation waits for neither.
         self._tracking = Worker('tracking', partial(self._safely, self._track))
         self._drawing = Worker('drawing', partial(self._safely, self._draw))
-        self._images = (SourceInput if config.source else ImageInput)(
-            self, config, self._tracking.put, self._diagnostics)
+        input_of = (SourceInput if config.source else
+                    ImageInput if config.join == NOT_JOINED else JoinedInput)
+        self._images = input_of(self, config, self._tracking.put, self._diagnostics)
         self._imu = ImuInput(self, self._stabilizer.add_imu_samples, self._diagnostics)
         self._imu.listen(config.level == IMU)
 

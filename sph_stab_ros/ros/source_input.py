@@ -45,7 +45,7 @@ class SourceInput:
         try:
             address = address_of(config.source, config.source_options)
             self._source = LiveSource(
-                address, self._on_picture, node.get_logger(), self._refuse)
+                address, self._on_picture, node.get_logger(), self._refuse, config.join)
         except SourceError as error:
             raise ConfigError(str(error)) from None
         self.name = address.name

@@ -8,7 +8,7 @@
 
 """How an executable starts with ROS: both have arguments on its command line."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import signal
 import sys
 from typing import TypeVar
@@ -21,6 +21,25 @@ from sph_stab_ros.command_line import one_line
 from sph_stab_ros.command_line.process_setup import set_up_process
 
 Parsed = TypeVar('Parsed')
+# Between these ROS's own arguments stand.
+BEGIN, END = '--ros-args', '--'
+
+
+def split_arguments(argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """
+    Return a command line's own arguments, and those of ROS.
+
+    ROS takes NAME:=VALUE for a remapping anywhere, but behind a ``-p`` it is our own.
+    """
+    own: list[str] = []
+    of_ros: list[str] = []
+    is_of_ros = False
+    for argument in argv:
+        is_of_ros = is_of_ros or argument == BEGIN
+        is_remapping = ':=' in argument and own[-1:] != ['-p']
+        (of_ros if is_of_ros or is_remapping else own).append(argument)
+        is_of_ros = is_of_ros and argument != END
+    return own, of_ros
 
 
 def start_ros(name: str, argv: list[str] | None, parse: Callable[[list[str]], Parsed],
@@ -31,8 +50,11 @@ def start_ros(name: str, argv: list[str] | None, parse: Callable[[list[str]], Pa
     The first of ``argv``, ``sys.argv`` by default, is the program's name. None after a line on
     stderr where ROS does not start. SIGINT and SIGTERM shut ROS down, unless told otherwise.
     """
+    own, of_ros = split_arguments(sys.argv if argv is None else argv)
     try:
-        parsed = parse(remove_ros_args(argv)[1:])
+        parsed = parse(own[1:])
+        # Refuses what ROS does not take, without a line of its own.
+        remove_ros_args(of_ros)
         handlers = SignalHandlerOptions.NO
         if ended_by_signals:
             # rclpy's handler ends it; another one on top could come at any time, the second one
@@ -40,7 +62,7 @@ def start_ros(name: str, argv: list[str] | None, parse: Callable[[list[str]], Pa
             handlers = SignalHandlerOptions.ALL
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         set_up_process()
-        rclpy.init(args=argv, signal_handler_options=handlers)
+        rclpy.init(args=of_ros, signal_handler_options=handlers)
     except RuntimeError as error:
         print(f'{name}: cannot start: {one_line(error)}', file=sys.stderr)
         return None

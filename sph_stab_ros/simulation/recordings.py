@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.geometry.arrays import Bgr, Image, Stamps, Vector, Vectors
 from sph_stab_ros.geometry.conventions import R_CAMERA_BODY
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.bag_writer import BagWriter
+from sph_stab_ros.recording.bag_writer import BagWriter, FILES
 from sph_stab_ros.recording.messages import compressed_image
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.simulation.flights import Flight
@@ -75,7 +75,7 @@ def write_recording(path: Path, flight: Flight, images: Iterable[Image], quality
         How the markers sit on the camera.
 
     """
-    with partial_output(path, force) as partial, BagWriter(partial) as bag:
+    with partial_output(path, force, FILES) as partial, BagWriter(partial) as bag:
         poses = list(zip(*truth(flight, R_camera_markers)))
         written = 0
         for image in images:

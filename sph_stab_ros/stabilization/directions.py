@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import ConfigError
@@ -98,6 +97,8 @@ class DirectionPath:
     """
 
     def __init__(self, path: Sequence[Sequence[float]], by_clock: bool = False) -> None:
+        # An eighth of the time that every replay takes to start, for whoever needs it.
+        from scipy.interpolate import PchipInterpolator
         # It rests a second before and behind, so that it sets off and stops smoothly.
         (first_s, *first), (last_s, *last) = path[0], path[-1]
         times_s, *columns = zip((first_s - 1, *first), *path, (last_s + 1, *last))

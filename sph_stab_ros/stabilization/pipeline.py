@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import IMU, StabilizerConfig, ViewConfig
 from sph_stab_ros.geometry.arrays import Covariance, Vector
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.geometry.masks import common
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
@@ -26,7 +25,7 @@ from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.lens_matching import LensMatcher
-from sph_stab_ros.images.sphere import as_sphere
+from sph_stab_ros.images.sphere import as_sphere, config_for
 from sph_stab_ros.stabilization.imu import ImuSample, ImuSamples, mount_rotation
 from sph_stab_ros.stabilization.imu_history import ImuHistory
 from sph_stab_ros.stabilization.level import Gravity, Leveler, LevelError, why_no_force
@@ -134,13 +133,13 @@ class Stabilizer:
 
     def process(self, frame: Frame) -> StabilizedFrame:
         """Return the StabilizedFrame of the next Frame, or raise ProjectionError."""
-        frame = as_sphere(frame, self.config)
-        self._projection = projection_of(frame.size_wh, self.config)
+        frame = as_sphere(frame, config := config_for(frame, self.config))
+        self._projection = projection_of(frame.size_wh, config)
         frame = self._lens_matcher.matched(frame, self._projection, self.config.fisheye)
         events = tuple(self._events(frame))
         tracker = self._tracker
         if tracker is None or StabilizationEvent.RESIZED in events:
-            tracker = self._started(frame.size_wh[1], frame.layout)
+            tracker = self._started(frame, config)
         self._take_in_imu(frame.time_ns)
         tracked = self._track(tracker, frame, self._projection)
         self._R_origin_camera = self._R_origin_start * tracked.R_world_camera
@@ -174,14 +173,15 @@ class Stabilizer:
         if self.config.level == IMU and self._gravity.age_s(frame.clock_ns) > LONG_GAP_S:
             yield StabilizationEvent.NO_GRAVITY
 
-    def _started(self, height: int, layout: Layout | None) -> Tracker:
+    def _started(self, frame: Frame, config: StabilizerConfig) -> Tracker:
         """Start a tracker for frames of this size, at the last frame and its orientation."""
         width = min(working_width(self.config.tracker), self._projection.sphere_width)
-        part = common(self._projection.seen(width), layout.seen(width) if layout else None)
+        part = common(self._projection.seen(width),
+                      frame.layout.seen(width) if frame.layout else None)
         seen = () if part is None else (part,)
         rolling = {}
         if self.config.tracker.rolling_shutter_s:
-            self._row_shares = row_shares(self._projection, height)
+            self._row_shares = row_shares(self._projection, frame.size_wh[1])
             rolling['row_shares'] = self._row_shares
         self._working_width = width
         tracker = self._tracker = self._make_tracker(
@@ -190,7 +190,7 @@ class Stabilizer:
         self._start_covariance = self._covariance
         if self._last is not None:
             # Of another size perhaps: the tracker gets all at its own.
-            self._track(tracker, self._last, projection_of(self._last.size_wh, self.config))
+            self._track(tracker, self._last, projection_of(self._last.size_wh, config))
         return tracker
 
     def _in_origin(self, covariance: Covariance | None) -> Covariance | None:

@@ -77,7 +77,7 @@ def video_sink(path: Path, force: bool, stack: ExitStack, recording: Recording, 
 def stills_sink(folder: Path, force: bool, stack: ExitStack, every_s: float,
                 picture: Callable[[StabilizedFrame], Image]) -> Sink:
     """Return a sink that writes a picture now and then, by the seconds from the first frame on."""
-    path = stack.enter_context(partial_output(folder, force))
+    path = stack.enter_context(partial_output(folder, force, holds=('*.jpg',)))
     path.mkdir()
     first_ns: int | None = None
     written = 0
@@ -97,8 +97,9 @@ def stills_sink(folder: Path, force: bool, stack: ExitStack, every_s: float,
 
 def bag_sink(path: Path, force: bool, stack: ExitStack, settings: Settings) -> Sink:
     """Return a sink that writes what the node publishes, but raw images, into a rosbag2 folder."""
-    from sph_stab_ros.recording.bag_writer import BagWriter
-    writer = stack.enter_context(BagWriter(stack.enter_context(partial_output(path, force))))
+    from sph_stab_ros.recording.bag_writer import BagWriter, FILES
+    writer = stack.enter_context(BagWriter(stack.enter_context(
+        partial_output(path, force, FILES))))
     config = settings.config
     cameras = [configured_camera(name, view) for name, view in settings.views.items()]
 

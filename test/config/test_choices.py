@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import (
     ANCHORED, CROPPED_EQUIRECT, CUBEMAP, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP, EQUIRECT, FISHEYE,
-    FLOWS, LEVELS, METHODS, MODES, NODE_PARAMETERS, PROJECTIONS, SmoothingConfig,
+    FLOWS, GOPRO_MAX, LEVELS, METHODS, MODES, NODE_PARAMETERS, PROJECTIONS, SmoothingConfig,
     StabilizerConfig, STRETCHED_EQUIRECT, TrackerConfig)
 from sph_stab_ros.geometry.cropped_equirect import CroppedEquirect
 from sph_stab_ros.geometry.cubemap import Cubemap
 from sph_stab_ros.geometry.fisheye import DualFisheye, Fisheye
+from sph_stab_ros.geometry.gopro_max import GoProMax
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.images.frame import Frame
@@ -80,7 +81,7 @@ def test_every_projection_is_one_of_its_own():
         EQUIRECT: ((512, 256), Equirect), STRETCHED_EQUIRECT: ((1280, 720), CroppedEquirect),
         CROPPED_EQUIRECT: ((512, 256), CroppedEquirect), CUBEMAP: ((600, 400), Cubemap),
         EQUI_ANGULAR_CUBEMAP: ((1280, 720), Cubemap), FISHEYE: ((1280, 720), Fisheye),
-        DUAL_FISHEYE: ((1280, 720), DualFisheye)}
+        DUAL_FISHEYE: ((1280, 720), DualFisheye), GOPRO_MAX: ((512, 336), GoProMax)}
     assert set(PROJECTIONS) == kinds.keys()
     for name, (size_wh, kind) in kinds.items():
         projection = projection_of(size_wh, StabilizerConfig(projection=name))

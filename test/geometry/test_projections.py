@@ -264,3 +264,17 @@ def test_stretched_circles_are_read_where_the_calibration_says_so():
     (uv, _), (squeezed_uv, _) = located(usual, xyz), located(squeezed, xyz)
     np.testing.assert_allclose(
         (squeezed_uv + 0.5) / squeezed_wh, (uv + 0.5) / size_wh, atol=1e-6)
+
+
+@pytest.mark.parametrize('size_wh', [(1921, 961), (1921, 960), (641, 320), (639, 320)])
+def test_spheres_of_odd_sizes_are_spheres(size_wh):
+    """Of which none is exactly twice as wide as high; all of it is seen, in its directions."""
+    projection = projection_of(size_wh, StabilizerConfig())
+    assert projection.seen(512) is None
+    width, height = size_wh
+    bearings, _ = projection.bearings(np.array([[((width - 1) / 2, (height - 1) / 2)]]))
+    np.testing.assert_allclose(bearings[0, 0], (0, 0, 1), atol=1e-9)
+    image = np.tile(np.arange(width) * 200 // width, (height, 1)).astype(np.uint8)
+    sphere = equirect_warp(projection.sphere_width)(image, Rotation.identity(), projection)
+    expected = np.arange(sphere.shape[1]) * 200 / sphere.shape[1]
+    assert np.abs(sphere[:, 2:-2] - expected[2:-2]).max() < 2

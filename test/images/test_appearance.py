@@ -246,3 +246,8 @@ def test_the_option_that_is_named_reads_them(worlds, kind, layout):
 def test_the_line_says_what_to_do(worlds, kind, advice):
     change, *_ = OTHERS[kind]
     assert advice in hints(PictureWatch(), [change(worlds[0])] * 3)[-1]
+
+
+def test_pictures_of_no_size_are_not_guessed_at():
+    for size in ((1, 1), (2, 1), (8, 15)):
+        assert not any(hints(PictureWatch(), [np.full((*size, 3), 90, np.uint8)] * 3))

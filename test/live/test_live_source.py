@@ -30,7 +30,7 @@ from sph_stab_ros.live.address import address_of, Kind, SourceError  # noqa: E40
 from sph_stab_ros.live.capture_clock import ARRIVAL, SENDER  # noqa: E402
 from sph_stab_ros.live.connection import require_pyav, RTMP_SERVER  # noqa: E402
 from sph_stab_ros.live.source import CONNECTED, ENDED, LiveSource, RECONNECTING  # noqa: E402
-from tiny_videos import encode, frame_of  # noqa: E402
+from tiny_videos import encode, encode_tracks, frame_of  # noqa: E402
 
 TIMEOUT_S = 30.
 # PyAV 16 does not give away what RTCP says.
@@ -41,9 +41,10 @@ log = logging.getLogger('live')
 class Reader:
     """Reads a source; ``pictures`` are the LivePictures, ``refused`` the ImageErrors."""
 
-    def __init__(self, address):
+    def __init__(self, address, **options):
         self.pictures, self.refused = [], []
-        self.source = LiveSource(address, self.pictures.append, log, self.refused.append)
+        self.source = LiveSource(
+            address, self.pictures.append, log, self.refused.append, **options)
         self.source.start()
 
     @property
@@ -171,6 +172,41 @@ def test_every_picture_comes_once_and_in_order(way, codec, clock, caplog):
         assert {isinstance(one.source, JpegFile) for one in reader.pictures} == {codec == 'mjpeg'}
     said, = (one.getMessage() for one in caplog.records if codec in one.getMessage())
     assert said.endswith(f'{codec}, 256x128')
+
+
+@pytest.mark.parametrize('join, size', [('left_right', (128, 48)), ('top_bottom', (64, 96))])
+def test_two_tracks_of_a_file_are_one_picture(tmp_path, join, size):
+    """Of one moment each: what one track lacks is left out of the other."""
+    greys = [[frame_of([np.full((48, 64), 20 + 10 * number + 3 * track, np.uint8),
+                        *np.full((2, 24, 32), 128, np.uint8)], 'yuv420p') for number in range(8)]
+             for track in range(2)]
+    times_ms = [40 * np.arange(8)] * 2
+    del greys[1][5]
+    times_ms[1] = np.delete(times_ms[1], 5)
+    path = encode_tracks(tmp_path / 'a.mp4', greys, times_ms)
+    reader = Reader(address_of(str(path)), join=join)
+    reader.wait_until(lambda: reader.source.has_ended())
+    assert reader.state.status == ENDED
+    assert reader.state.size_wh == size
+    assert len(reader.pictures) == reader.state.pictures == 7
+    for number, picture in zip((0, 1, 2, 3, 4, 6, 7), reader.pictures):
+        assert picture.source.image.shape == (*size[::-1], 3)
+        grey = picture.source.grey().astype(int)
+        # Luma of limited range.
+        first, last = (round((value - 16) * 255 / 219) for value in (
+            20 + 10 * number, 23 + 10 * number))
+        assert abs(grey[0, 0] - first) <= 1 and abs(grey[-1, -1] - last) <= 1
+    stamps_ns = [one.stamp_ns for one in reader.pictures]
+    assert (np.diff(stamps_ns) > 0).all()
+
+
+def test_a_file_without_a_second_track_says_so(tmp_path, caplog):
+    path = encode_tracks(tmp_path / 'a.mp4', [[frame_of(
+        [np.zeros((48, 64), np.uint8), *np.zeros((2, 24, 32), np.uint8)], 'yuv420p')]])
+    reader = Reader(address_of(str(path)), join='left_right')
+    reader.wait_until(lambda: reader.source.has_ended())
+    assert reader.state.status == ENDED
+    assert 'no second video track' in caplog.text
 
 
 def test_a_file_is_played_once(tmp_path):

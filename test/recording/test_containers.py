@@ -306,3 +306,14 @@ def test_what_others_have_reported(name, count, shared_data):
     stamps_ns = stamps_in(path)
     assert len(stamps_ns) == count
     assert stamps_ns == sorted(stamps_ns) and stamps_ns[0] == 1_700_000_000 * 10**9
+
+
+@pytest.mark.parametrize('names, message', [
+    ([], 'the folder is empty'),
+    (['IMG_0001.JPG', 'IMG_0002.JPG'], 'of 2 files in .*IMG_0002.JPG.*: make a video of'),
+    (['notes.txt', 'ride.mp4'], 'of 2 files in .*ride.mp4.*: give what is to be read')])
+def test_a_folder_without_a_bag_is_told_what_it_holds(tmp_path, names, message):
+    for name in names:
+        (tmp_path / name).write_bytes(b'something')
+    with pytest.raises(RecordingError, match=f'{tmp_path.name} is not a readable bag: {message}'):
+        open_recording(tmp_path)

@@ -235,6 +235,27 @@ def test_several_image_topics_must_be_chosen_from(bag_of_several_topics):
     assert frame.stamp_ns == 2
 
 
+@pytest.mark.parametrize('images_first', [False, True])
+def test_of_a_topic_of_two_types_the_images_are_read(tmp_path, turning, images_first):
+    """As where two nodes published under one name: the other's messages are left out."""
+    path = tmp_path / 'bag'
+    with BagWriter(path) as bag:
+        def others():
+            bag.write(IMAGE_TOPIC, bag.make('std_msgs/msg/String', data='hello'), START_NS)
+            bag._connections.clear()
+        if not images_first:
+            others()
+        for stamp_ns, image in zip(stamps_of(4).tolist(), turning[0]):
+            bag.write_jpeg(IMAGE_TOPIC, stamp_ns, 'camera', image)
+        if images_first:
+            bag._connections.clear()
+            others()
+    recording = open_recording(path)
+    assert recording.topics == {IMAGE_TOPIC: 'sensor_msgs/msg/CompressedImage'}
+    assert len(list(recording.frames())) == 4
+    assert recording.skipped == {'unreadable message': 1}
+
+
 @pytest.mark.parametrize('topic', ['/pose', '/nowhere'])
 def test_what_is_not_an_image_topic_is_refused(bag_of_several_topics, topic):
     """The error names the topics that there are."""

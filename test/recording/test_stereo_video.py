@@ -9,6 +9,7 @@
 """Videos for two eyes and of a half sphere, by their metadata or by an option."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from sph_stab_ros.geometry.layout import FRONT, Layout, LEFT_HALF, Part, TOP_HAL
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.geometry.trajectory import read_tum
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.sphere import as_sphere
+from sph_stab_ros.images.sphere import as_sphere, config_for
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.replay import main as replay
 from sph_stab_ros.stabilization.pipeline import Stabilizer
@@ -138,23 +139,30 @@ def test_frame_packing_of_h264_is_heeded(tmp_path, packing, kind, expected):
 
 
 @pytest.mark.parametrize('boxes, message', [
-    (videos.sphere_box(projection=b'cbmp'), 'a cube map, which is not read'),
-    (videos.stereo_box(2) + videos.sphere_box(projection=b'mshp'), 'a mesh, which is not read'),
-    (videos.sphere_box(projection=b'abcd'), "'abcd', which is not read"),
-    (videos.sphere_box(.6, 0., .5, 0.), None)])
+    (videos.stereo_box(2) + videos.sphere_box(projection=b'mshp'),
+     'a mesh for each of two eyes, which is not read: .*layout:=vr180'),
+    (videos.sphere_box(projection=b'ytmp'), 'a mesh, .*projection:=equi_angular_cubemap'),
+    (videos.stereo_box(1) + videos.cube_box(), 'a cube map for each of two eyes, .*-p'),
+    (videos.cube_box(layout=3), 'a cube map of another layout .*-p'),
+    (videos.cube_box(padding=4), 'a cube map with 4 px of padding, .*-p'),
+    (videos.sphere_box(projection=b'abcd'), "'abcd', .*-p"),
+    (videos.sphere_box(.6, 0., .5, 0.), '')])
 def test_what_is_not_read_is_refused_by_name(tmp_path, capsys, boxes, message):
-    """In one line; FFmpeg itself refuses what makes no sense."""
+    """In one line that says how it may be; FFmpeg itself refuses what makes no sense."""
     path = videos.tagged(video(tmp_path / 'a.mp4', 'half_sphere'), boxes)
-    assert replay([str(path), '--trajectory', str(tmp_path / 'out.tum')]) == 1
-    error, = capsys.readouterr().err.splitlines()
-    assert 'a.mp4' in error and (message is None or error.endswith(message))
+    for command in ([replay, str(path), '--trajectory', str(tmp_path / 'out.tum')],
+                    [evaluate, str(path), '--inject', '1']):
+        assert command[0](command[1:]) == 1
+        error, = capsys.readouterr().err.splitlines()
+        assert re.search(f'a.mp4.*{message}', error)
 
 
 def test_packings_that_are_not_read_are_refused_by_name(tmp_path):
     """Alternate pictures for the two eyes."""
     path = video(tmp_path / 'a.mp4', 'half_sphere', **{'x264-params': 'frame-packing=5'})
+    frame = next(open_recording(path).frames())
     with pytest.raises(RecordingError, match='a.mp4: .*share alternate pictures'):
-        layout(path)
+        config_for(frame, StabilizerConfig())
 
 
 @pytest.mark.parametrize('kind', TWO)
@@ -188,14 +196,19 @@ def test_what_is_not_seen_stays_black_in_the_output(tmp_path):
     assert off[seen[rows]].mean() < 10
 
 
-def test_metadata_that_are_wrong_can_be_overruled(tmp_path):
+@pytest.mark.parametrize('boxes', [
+    videos.stereo_box(2) + videos.sphere_box(.25, 0., .25, 0.),
+    videos.sphere_box(projection=b'mshp'), videos.cube_box()])
+def test_metadata_that_are_wrong_can_be_overruled(tmp_path, boxes):
     """A sphere that an editor has left the tags of its source."""
     pictures = [videos.bgr_frame(image) for image in SPHERES]
-    path = videos.tagged(videos.encode(tmp_path / 'a.mp4', pictures),
-                         videos.stereo_box(2) + videos.sphere_box(.25, 0., .25, 0.))
+    path = videos.tagged(videos.encode(tmp_path / 'a.mp4', pictures), boxes)
     tum = tmp_path / 'out.tum'
     assert replay([str(path), '--trajectory', str(tum), '--layout', 'mono']) == 0
     assert angles_deg(read_tum(tum).rotations, R_WORLD_CAMERA).max() < 0.3
+    # All of it is used, too.
+    frame = next(open_recording(path).frames())
+    assert as_sphere(frame, StabilizerConfig(layout='mono')).layout is None
 
 
 def test_the_tracker_is_told_what_is_seen():

@@ -20,6 +20,9 @@ from tiny_recordings import stamps_of
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import pixels, stabilizer  # noqa: E402, I100
+from rclpy.time import Time  # noqa: E402
+from sensor_msgs.msg import CompressedImage  # noqa: E402
+from sph_stab_ros.images.codec import fill_compressed  # noqa: E402, I100
 
 THETA_S = ('--params-file', str(Path(__file__).resolve().parents[2] / 'config' / 'theta_s.yaml'))
 TOPICS = ('orientation', 'stabilized/image/compressed', 'view/image/compressed', '/diagnostics')
@@ -41,6 +44,28 @@ def test_a_theta_s_is_stabilised(tmp_path, world):
         assert first.shape == (570, 1140, 3)
         assert np.abs(last - first).mean() < 8 < first.std() / 4
         assert pixels(peer.received[TOPICS[2]][-1]).shape == (480, 640, 3)
+
+
+def test_two_lenses_on_two_topics_are_stabilised(tmp_path, world):
+    """Paired by their stamps; one whose partner is lost is not used."""
+    turns = [Rotation.from_euler('YX', (3 * i, i), degrees=True) for i in range(4)]
+    with stabilizer(tmp_path, *THETA_S, '-p', 'join:=left_right', compressed=True,
+                    topics=('orientation', '/diagnostics')) as peer:
+        rear = peer.advertise(CompressedImage, 'image_rear/compressed')
+        peer.wait_until(rear.get_subscription_count)
+        late_ns = 3_000_000
+        for number, (R, stamp_ns) in enumerate(zip(turns, stamps_of(4))):
+            first, second = np.split(fisheye_picture(world, FisheyeConfig(), R), 2, axis=1)
+            if number != 2:
+                msg = fill_compressed(CompressedImage(), second, 95)
+                msg.header.stamp = Time(nanoseconds=int(stamp_ns) + late_ns).to_msg()
+                rear.publish(msg)
+            if number == 2:
+                peer.send(first, stamp_ns)
+            else:
+                assert angle_deg(peer.stabilize(first, stamp_ns), R) < 0.2
+        assert len(peer.received['orientation']) == 3
+        peer.diagnostics(lambda values: values.get('one_lens_only') == '1')
 
 
 def test_the_projection_is_a_parameter_like_others(tmp_path, world):

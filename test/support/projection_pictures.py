@@ -8,11 +8,13 @@
 
 """One picture of each projection that there is, of a size at which a sphere is 1024 px wide."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sph_stab_ros.config import (
     CropConfig, CROPPED_EQUIRECT, CUBEMAP, CubemapConfig, DUAL_FISHEYE, EQUI_ANGULAR_CUBEMAP,
-    EQUISOLID, FISHEYE, FisheyeConfig, LensConfig, StabilizerConfig, STRETCHED_EQUIRECT)
+    EQUISOLID, FISHEYE, FisheyeConfig, GOPRO_MAX, LensConfig, StabilizerConfig, STRETCHED_EQUIRECT)
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.projection_factory import projection_of
 
@@ -52,6 +54,8 @@ PICTURES = {
         CUBEMAP, cubemap=CubemapConfig('lrfbdu', '012301'))),
     'equi-angular': ((780, 520), _config(EQUI_ANGULAR_CUBEMAP)),
     'equi-angular 16:9': ((1280, 720), _config(EQUI_ANGULAR_CUBEMAP)),
+    'GoPro Max 5.6K': ((780, 512), _config(GOPRO_MAX)),
+    'GoPro Max 3K': ((790, 512), _config(GOPRO_MAX)),
     'fisheye 180': ((560, 540), _config(
         FISHEYE, fisheye=_circle((560, 540), (281.3, 268.9), 256., 180.))),
     'fisheye 280': ((812, 812), _config(
@@ -63,6 +67,8 @@ PICTURES = {
         aspect=0.96))),
     'side by side': ((1140, 570), _config(DUAL_FISHEYE, fisheye=_two_circles(
         (1140, 570), (284.5, 284.5), (854.5, 284.5)))),
+    'near at the border': ((1140, 570), _config(DUAL_FISHEYE, fisheye=replace(_two_circles(
+        (1140, 570), (284.5, 284.5), (854.5, 284.5)), baseline_m=.06, seam_distance_m=1.))),
     'one above the other': ((570, 1140), _config(DUAL_FISHEYE, fisheye=_two_circles(
         (570, 1140), (284.5, 284.5), (284.5, 854.5)))),
 }

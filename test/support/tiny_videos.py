@@ -69,6 +69,29 @@ def encode(path, pictures, codec='libx264', options=None, pts_ms=None, tags=(), 
     return path
 
 
+def encode_tracks(path, tracks, pts_ms=None, options=None):
+    """
+    Write a video whose tracks are these lists of av.VideoFrames; return the path.
+
+    They are at multiples of 1/25 s, or each track at its list of times in ms.
+    """
+    with av.open(str(path), 'w') as container:
+        streams = []
+        for pictures in tracks:
+            stream = container.add_stream('libx264', rate=RATE, options=options or LOSSLESS)
+            stream.width, stream.height = pictures[0].width, pictures[0].height
+            stream.pix_fmt = pictures[0].format.name
+            stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+            streams.append(stream)
+        for track, (stream, pictures) in enumerate(zip(streams, tracks)):
+            times = (1000 // RATE * np.arange(len(pictures)) if pts_ms is None else pts_ms[track])
+            for picture, at_ms in zip(pictures, times):
+                picture.pts, picture.time_base = int(at_ms), Fraction(1, 1000)
+                container.mux(stream.encode(picture))
+            container.mux(stream.encode())
+    return path
+
+
 def _encode_sound(container, stream, sound, start):
     size = stream.codec_context.frame_size or 1024
     kind = stream.codec_context.format.name
@@ -114,7 +137,14 @@ def sphere_box(left=0., top=0., right=0., bottom=0., projection=b'equi'):
         b'proj', packed(b'prhd', bytes(16)) + packed(projection, bytes(4) + bounds)))
 
 
-def xml_metadata(stereo='mono', extra=''):
+def cube_box(layout=0, padding=0):
+    """Return a box sv3d of pictures of six faces of a cube."""
+    return packed(b'sv3d', packed(b'svhd', bytes(4) + b'a camera\0') + packed(
+        b'proj', packed(b'prhd', bytes(16)) + packed(
+            b'cbmp', pack('>3I', 0, layout, padding))))
+
+
+def xml_metadata(stereo='mono', extra='', projection='equirectangular'):
     """Return metadata of version 1 as a camera writes them."""
     return (
         '<?xml version="1.0"?><rdf:SphericalVideo '
@@ -123,7 +153,7 @@ def xml_metadata(stereo='mono', extra=''):
         '<GSpherical:Spherical>true</GSpherical:Spherical>'
         '<GSpherical:Stitched>true</GSpherical:Stitched>'
         '<GSpherical:StitchingSoftware>a camera</GSpherical:StitchingSoftware>'
-        '<GSpherical:ProjectionType>equirectangular</GSpherical:ProjectionType>'
+        f'<GSpherical:ProjectionType>{projection}</GSpherical:ProjectionType>'
         f'<GSpherical:StereoMode>{stereo}</GSpherical:StereoMode>{extra}'
         '</rdf:SphericalVideo>').encode()
 

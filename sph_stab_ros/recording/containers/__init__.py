@@ -34,6 +34,8 @@ __all__ = ['Channel', 'Containers', 'is_bag', 'Message']
 logger = logging.getLogger(__name__)
 
 METADATA = 'metadata.yaml'
+# Endings of files in which there is one each.
+PICTURES = ('.jpg', '.jpeg', '.png', '.tif', '.tiff', '.dng', '.webp', '.exr')
 # Of the longest one there may be, with the definitions of all its messages.
 MOST_METADATA_BYTES = 2**26
 
@@ -84,6 +86,8 @@ class Containers:
         """Return the parts of the bag in their order."""
         listed = listed_parts(path)
         files = listed or bag_files(path, self._damage)
+        if not files:
+            raise RecordingError(f'{path} is not a readable bag: {what_else(path)}')
         kinds = {kind for file in files if (kind := kind_of(file))}
         if len(kinds) > 1:
             raise RecordingError(f'{path} holds bags of several kinds, give one of them: '
@@ -146,6 +150,16 @@ def bag_files(path: Path, damage: list[str]) -> list[Path]:
             file.stem not in names]
 
 
+def what_else(folder: Path) -> str:
+    """Return what a folder holds that holds no bag, in a line."""
+    names = sorted(one.name for one in folder.iterdir())
+    if not names:
+        return 'the folder is empty'
+    advice = ('make a video of the pictures first' if names[-1].lower().endswith(PICTURES)
+              else 'give what is to be read by its own name')
+    return f'of {len(names)} files in the folder, such as {names[-1]}, none is one: {advice}'
+
+
 def listed_parts(path: Path) -> list[Path]:
     """Return the files that the metadata in a folder list, where all of them are there."""
     text = path / METADATA
@@ -155,7 +169,7 @@ def listed_parts(path: Path) -> list[Path]:
     # Damaged metadata are done without: in whatever way they are.
     with suppress(Exception), warnings.catch_warnings():
         warnings.simplefilter('ignore')
-        content = YAML(typ='safe').load(text.read_text())
+        content = YAML(typ='safe').load(text.read_text('utf-8'))
         names = content['rosbag2_bagfile_information']['relative_file_paths']
         files = [path / name for name in dict.fromkeys(PurePath(one).name for one in names)]
         if all(file.is_file() and kind_of(file) for file in files):

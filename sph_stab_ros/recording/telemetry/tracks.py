@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sph_stab_ros.recording.base import RecordingError
-from sph_stab_ros.recording.pyav import av
+from sph_stab_ros.recording.pyav import av, url_of
 from sph_stab_ros.recording.telemetry import camm, gpmf
 from sph_stab_ros.recording.telemetry.base import Telemetry
 
@@ -20,7 +20,7 @@ from sph_stab_ros.recording.telemetry.base import Telemetry
 def read(path: Path) -> Telemetry | None:
     """Return the Telemetry of the first track that holds some; RecordingError where unreadable."""
     try:
-        with av.open(str(path), metadata_errors='replace') as container:
+        with av.open(url_of(path), metadata_errors='replace') as container:
             indices = [one.index for one in container.streams if one.type == 'data']
         # Opened anew for each, to be read from the beginning.
         for index in indices:
@@ -37,7 +37,7 @@ def read(path: Path) -> Telemetry | None:
 
 def _samples(path: Path, index: int) -> Iterator[tuple[float, float, bytes]]:
     """Yield times and durations in s, and bytes, of a track's samples up to any damage."""
-    with av.open(str(path), metadata_errors='replace') as container:
+    with av.open(url_of(path), metadata_errors='replace') as container:
         stream = container.streams[index]
         try:
             for packet in container.demux(stream):
