@@ -100,9 +100,11 @@ class CameraPictures:
                 self._take(Picture(stamp_ns(shown.header.stamp), data, shown_s,
                                    derotated=self._derotated, packet=packet))
         except ImageError as error:
+            self._packets.end()
             self._leave_out(error)
         except Exception as error:
             # What a camera sends must not end the thread.
+            self._packets.end()
             self._warn(type(error).__name__, f'image left out, {error!r}')
 
     def _leave_out(self, error: ImageError) -> None:
