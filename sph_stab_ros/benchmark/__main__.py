@@ -30,6 +30,7 @@ from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.arguments import file_argument, names_argument, whole_number
 from sph_stab_ros.config import MIN_WIDTH, TrackerConfig
 from sph_stab_ros.evaluation.alignment import EvaluationError
+from sph_stab_ros.evaluation.arguments import mount_argument
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.projection import to_grey
@@ -145,6 +146,9 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
                         f'{BUDGET_S:g} s in all (default: %(default)s)')
     parser.add_argument('--growth-frames', metavar='N', type=whole_number(10), default=2000,
                         help='length of the long run, at least 10 (default: %(default)s)')
+    parser.add_argument('--mount', metavar='YAW,PITCH,ROLL', type=mount_argument,
+                        help='how the camera sits on the body whose orientation is the truth, in '
+                        'degrees, --mount=-30,0,0 with = before a minus (default: solved for)')
     parser.add_argument('--json', metavar='FILE', type=file_argument, help='write all figures')
     return parser.parse_args(argv)
 
@@ -198,7 +202,8 @@ def references_part(args: Namespace, recording: Recording) -> Figures:
     figures = {}
     if len(missing) < 2:
         try:
-            figures = references(recording, lambda name, frames: bar(name, frames, None))
+            figures = references(recording, args.mount,
+                                 lambda name, frames: bar(name, frames, None))
         except (RecordingError, EvaluationError) as error:
             print(f'references are left out: {error}')
     if figures:

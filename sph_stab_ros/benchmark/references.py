@@ -187,18 +187,21 @@ def structure_from_motion(images: Iterable[Image]) -> tuple[Indices, Rotation]:
     return np.array(numbers), Rotation.from_quat(quaternions).inv()
 
 
-def references(recording: Recording, progress: Callable[[str, Any], Iterable[Any]]
-               = lambda name, frames: frames) -> dict[str, Figures]:
+def references(recording: Recording, R_body_camera: Rotation | None = None,
+               progress: Callable[[str, Any], Iterable[Any]] = lambda name, frames: frames
+               ) -> dict[str, Figures]:
     """
     Return by name ``{frames, lost_frames, geodesic_deg, ms_per_frame}`` against the truth.
 
     Beside the references stand ``anchored`` and ``pts``, over as many frames; time is that of the
-    whole, pictures in memory. The mount is that of the estimator that follows the truth best.
+    whole, pictures in memory. The mount, unless it is given, is that of the estimator that follows
+    the truth best.
     RecordingError where there is no truth.
     """
     truth = read_truth(recording, find_truth_topic(recording))
     configs = {name: StabilizerConfig(TrackerConfig(estimator=name)) for name in (ANCHORED, 'pts')}
-    alignment, _, figures = evaluate_against_truth(recording, configs, truth, progress=progress)
+    alignment, _, figures = evaluate_against_truth(
+        recording, configs, truth, R_body_camera, progress=progress)
     frames = list(decoded_frames(recording))
 
     def add(name: str, stamps_ns: Sequence[int], rotations: Rotation, elapsed_s: float,
