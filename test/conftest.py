@@ -8,6 +8,7 @@
 
 """Markers by folder; fixtures: real footage where present, tiny recordings made on the spot."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,9 @@ else:
     settings.register_profile('fuzz', deadline=None, max_examples=400, database=None,
                               suppress_health_check=list(HealthCheck))
     settings.load_profile('repeatable')
+
+# SVT-AV1 tells of all that it does, unless it is told not to before its first use in a process.
+os.environ.setdefault('SVT_LOG', '1')
 
 TEST = Path(__file__).resolve().parent
 # What is marked in each; other tests bear their marks themselves.

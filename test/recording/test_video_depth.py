@@ -33,12 +33,6 @@ WITHOUT_LOSS = {'libx265': {'x265-params': 'lossless=1:log-level=error'},
                 'libsvtav1': {'crf': '1'}}
 
 
-@pytest.fixture(autouse=True)
-def silent_encoders(monkeypatch):
-    """SVT-AV1 tells of all that it does."""
-    monkeypatch.setenv('SVT_LOG', '1')
-
-
 def ramps(is_full_range):
     """Return planes (Y, Cb, Cr) of ten bits, each in steps of one level; colours that exist."""
     across, down = np.linspace(0, 1, WIDTH), np.linspace(0, 1, HEIGHT)
