@@ -52,9 +52,9 @@ fuzz: setup  ## Damage inputs in new ways for FUZZ_SECONDS; what fails stays in 
 
 # Processes that tests start are measured too; their files stay out of the way of the sources.
 coverage: export COVERAGE_FILE = $(CURDIR)/results/coverage/data
-coverage: setup  ## Run test-fast, and tell in results/coverage and docs/tests.md what it covers
+coverage: setup  ## Run what needs no ROS, and tell in docs/tests.md what that covers
 	mkdir -p results/coverage
-	$(PY) $(PYTEST) -m '$(FAST)' --cov --cov-report=html:results/coverage/html \
+	$(PY) $(PYTEST) -m 'not slow and not ros and not browser' --cov --cov-report=html:results/coverage/html \
 	    --cov-report=json:results/coverage/coverage.json
 	$(PY) -m sph_stab_ros.evaluation.page_tables results/coverage docs/tests.md
 

@@ -30,19 +30,19 @@ else:
 os.environ.setdefault('SVT_LOG', '1')
 
 TEST = Path(__file__).resolve().parent
-# What is marked in each; other tests bear their marks themselves.
-FOLDER_MARKERS = {
-    'ros': pytest.mark.ros,
-    'operator/test_operator_command_line.py': pytest.mark.ros,
-    'fuzz': pytest.mark.thorough,
-    'operator/test_operator_link_status.py': pytest.mark.ros,
-    'operator/test_operator_renderers.py': pytest.mark.browser,
-    'operator/test_operator_robot.py': pytest.mark.ros,
-    'test_docs.py': pytest.mark.thorough,
-    'test_package.py': pytest.mark.thorough,
-    'test_readme.py': pytest.mark.thorough,
-    'test_style.py': pytest.mark.thorough,
-    'test_types.py': pytest.mark.thorough,
+# What each marks, by files and folders; other tests bear their marks themselves.
+MARKED = {
+    'browser': ('operator/test_operator_renderers.py',),
+    'ros': ('ros', 'operator/test_operator_command_line.py',
+            'operator/test_operator_link_status.py', 'operator/test_operator_robot.py'),
+    'thorough': (
+        # Whole commands, many runs, films.
+        'batch', 'command_line/test_names_and_texts.py', 'command_line/test_out_of_memory.py',
+        'evaluation', 'fuzz', 'live', 'recording/test_cube_video.py', 'recording/test_sound.py',
+        'recording/test_stereo_video.py', 'simulation', 'test_calibrate.py', 'test_evaluate.py',
+        'test_film.py', 'test_replay.py',
+        # The whole repository.
+        'test_docs.py', 'test_package.py', 'test_readme.py', 'test_style.py', 'test_types.py'),
 }
 
 
@@ -51,8 +51,8 @@ FOLDER_MARKERS = {
 def pytest_collection_modifyitems(items):
     """Mark what starts processes of ROS or a browser, and what is about the whole repository."""
     for item in items:
-        for path, marker in FOLDER_MARKERS.items():
-            if item.path.is_relative_to(TEST / path):
+        for marker, paths in MARKED.items():
+            if any(item.path.is_relative_to(TEST / path) for path in paths):
                 item.add_marker(marker)
         # By its fixture: whoever adds a file of such tests need not think of it.
         if 'browser' in item.fixturenames:
