@@ -8,7 +8,6 @@
 
 """The command replay: what it writes, what it says, and how it ends."""
 
-import os
 from pathlib import Path
 import signal
 import subprocess
@@ -440,7 +439,8 @@ def test_an_interrupted_output_is_marked(turning, tmp_path, ending):
     while process.poll() is None and not (
             partial.is_dir() and any(f.stat().st_size > 2**20 for f in partial.iterdir())):
         time.sleep(0.02)
-    os.kill(process.pid, ending)
+    assert process.poll() is None, process.communicate()
+    process.send_signal(ending)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 1
     assert 'Traceback' not in error and str(partial.parent) in error
