@@ -125,7 +125,7 @@ def calibrate(greys: Sequence[Grey], config: FisheyeConfig) -> Calibration:
     for _ in range(ROUNDS):
         front_uv, rear_uv = corners_in_both(greys, refined)
         check_texture(len(front_uv), MIN_TO_START)
-        refined, left = fitted(front_uv, rear_uv, config, refined)
+        refined, left = fitted(front_uv, rear_uv, config)
     before_rad, after_rad = (
         disagreement_rad(front_uv, rear_uv, one) for one in (config, refined))
     good = after_rad < MAX_DISAGREEMENT_RAD
@@ -148,10 +148,10 @@ def check_texture(corners: int, needed: int) -> None:
                                f'least {MIN_CORNERS} are needed')
 
 
-def fitted(front_uv: Pixels, rear_uv: Pixels, config: FisheyeConfig,
-           start: FisheyeConfig) -> tuple[FisheyeConfig, Values]:
+def fitted(front_uv: Pixels, rear_uv: Pixels,
+           config: FisheyeConfig) -> tuple[FisheyeConfig, Values]:
     """
-    Return the FisheyeConfig near ``config`` that makes pixels (N, 2) agree, from a start.
+    Return the FisheyeConfig near ``config`` that makes pixels (N, 2) agree.
 
     And how much of each parameter's prior deviation is left (P,).
     """

@@ -10,14 +10,14 @@
 
 from dataclasses import replace
 
-from sph_stab_ros.operator.flow import VideoFlow
+from sph_stab_ros.operator.flow import FlowGroup, VideoFlow
 from sph_stab_ros.operator.pairing import Picture
 
 # Who has come down to this share of the camera's bit rate leaves.
 ENOUGH = 0.8
 
 
-class CameraRung:
+class CameraRung(FlowGroup):
     """
     Browsers, by their flows, that get the packets of the camera as they are.
 
@@ -27,26 +27,13 @@ class CameraRung:
     """
 
     def __init__(self) -> None:
-        self._flows: list[VideoFlow] = []
+        super().__init__()
         self.bit_rate: float | None = None
         self._number = 0
         # Of the group of pictures that goes on, None where packets of it are missing.
         self._begin_s: float | None = None
         self._bytes = 0
         self._is_key = False
-
-    def __contains__(self, flow: VideoFlow) -> bool:
-        """Tell whether a browser is on this rung."""
-        return flow in self._flows
-
-    def add(self, flow: VideoFlow) -> None:
-        """Send it the packets from now on, the first of which is a key picture."""
-        flow.lose_step()
-        self._flows.append(flow)
-
-    def remove(self, flow: VideoFlow) -> None:
-        """Do so no longer."""
-        self._flows.remove(flow)
 
     def look(self, picture: Picture) -> None:
         """Take in what the camera has sent, before it is offered."""

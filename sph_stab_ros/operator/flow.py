@@ -156,3 +156,23 @@ class VideoFlow:
             sent_s, sent = self._undrawn.pop(first)
             self.rate.acknowledged(len(sent.data), now_s - sent_s)
         return picture
+
+
+class FlowGroup:
+    """Browsers, by their flows, that get the same pictures, a key picture first."""
+
+    def __init__(self) -> None:
+        self._flows: list[VideoFlow] = []
+
+    def __contains__(self, flow: VideoFlow) -> bool:
+        """Tell whether a browser is in it."""
+        return flow in self._flows
+
+    def add(self, flow: VideoFlow) -> None:
+        """Take in a browser."""
+        flow.lose_step()
+        self._flows.append(flow)
+
+    def remove(self, flow: VideoFlow) -> None:
+        """Let a browser go."""
+        self._flows.remove(flow)

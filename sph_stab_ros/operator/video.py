@@ -21,7 +21,7 @@ from time import monotonic
 
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.operator.camera_rung import CameraRung
-from sph_stab_ros.operator.flow import VideoFlow
+from sph_stab_ros.operator.flow import FlowGroup, VideoFlow
 from sph_stab_ros.operator.h264 import H264Encoder, SOFTWARE
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.rate_control import MIN_BIT_RATE
@@ -49,7 +49,7 @@ class Rhythm:
             self.period_s += SMOOTHING * (passed_s - self.period_s)
 
 
-class Rung:
+class Rung(FlowGroup):
     """
     One encoder and the browsers, by their flows, that it encodes for.
 
@@ -61,27 +61,18 @@ class Rung:
 
     def __init__(self, divisor: int, min_bit_rate: float, warn: Callable[[str, str], object],
                  encoder_name: str) -> None:
+        super().__init__()
         self._divisor, self._min_bit_rate, self._warn = divisor, min_bit_rate, warn
         self._encoder_name = encoder_name
-        self._flows: list[VideoFlow] = []
         self._next: tuple[int, Picture] | None = None
         self._work: asyncio.Task[None] | None = None
         self._encoder: H264Encoder | None = None
         self._rhythm = Rhythm()
         self._thread = ThreadPoolExecutor(1, f'h264_{divisor}')
 
-    def __contains__(self, flow: VideoFlow) -> bool:
-        """Tell whether a browser is on this rung."""
-        return flow in self._flows
-
-    def add(self, flow: VideoFlow) -> None:
-        """Encode for a browser from now on; it gets a key picture first."""
-        flow.lose_step()
-        self._flows.append(flow)
-
     def remove(self, flow: VideoFlow) -> None:
-        """Encode for it no longer."""
-        self._flows.remove(flow)
+        """Let a browser go, and memory with the last one."""
+        super().remove(flow)
         self._rest()
 
     def offer(self, sequence: int, picture: Picture) -> None:

@@ -156,6 +156,9 @@ def boxes(data: bytes) -> Iterator[Box]:
 
 def is_without_index(path: Path) -> bool:
     """Tell whether a file is an MP4 or MOV file whose recorder did not live to write its index."""
+    if not path.is_file():
+        # What came through a pipe is gone; to open it again would wait for another writer.
+        return False
     try:
         with path.open('rb') as file:
             if file.read(8)[4:] not in FIRST_BOXES:

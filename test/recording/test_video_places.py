@@ -41,6 +41,21 @@ def test_a_pipe_at_a_path_is_read_once(tmp_path, turning):
         next(recording.frames())
 
 
+def test_no_video_through_a_pipe_is_refused_at_once(tmp_path):
+    """Nobody opens the pipe once more, to wait for another writer."""
+    pipe = tmp_path / 'pipe'
+    os.mkfifo(pipe)
+    writer = Thread(target=pipe.write_bytes, args=(b'no video',))
+    writer.start()
+    command = [sys.executable, '-m', 'sph_stab_ros.replay', str(pipe), '--trajectory',
+               str(tmp_path / 'out.tum')]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    writer.join()
+    assert done.returncode == 1
+    line, = done.stderr.splitlines()
+    assert 'pipe is not a readable video' in line
+
+
 @pytest.mark.parametrize('name', ['2026-01-02T03:04:05.mp4', 'file:a.mp4', 'sp ace %04d.mp4'])
 def test_any_name_of_a_file_will_do(tmp_path, monkeypatch, turning, name):
     """Though FFmpeg takes what stands before a colon for a protocol."""
