@@ -66,6 +66,9 @@ def send(url, form, codec, width, height, frames, first):
             picture.pts = index
             time.sleep(max(start_s + index / RATE - time.monotonic(), 0))
             container.mux(stream.encode(picture))
+            if index == 0:
+                # The clock that RTP tells of begins with its header: nothing is sent before that.
+                start_s = time.monotonic()
         container.mux(stream.encode())
 
 
