@@ -105,8 +105,9 @@ def send(args: Namespace, path: Path, url: str) -> tuple[list[int], float]:
                 time.sleep(0.1)
 
 
-def send_packets(args: Namespace, packets: Sequence[bytes], container: 'av.container.OutputContainer',
-                 stream: 'av.VideoStream') -> tuple[list[int], float]:
+def send_packets(
+        args: Namespace, packets: Sequence[bytes], container: 'av.container.OutputContainer',
+        stream: 'av.VideoStream') -> tuple[list[int], float]:
     """Send packets at their rate, and return as ``send`` does."""
     import av
     start_ns, used_s = time.time_ns(), time.process_time()
