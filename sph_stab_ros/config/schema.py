@@ -23,6 +23,9 @@ FLOWS = ('farneback', 'dis')
 FIRST_FRAME = 'first_frame'
 IMU = 'imu'
 LEVELS = (FIRST_FRAME, IMU)
+ROWS = 'rows'
+COLUMNS = 'columns'
+READ_IN = (ROWS, COLUMNS)
 LOCK = 'lock'
 FOLLOW = 'follow'
 YAW_FOLLOW = 'yaw_follow'
@@ -67,9 +70,12 @@ class TrackerConfig(Checked):
     mask: str = option(
         '', "Pixels not to use: path of a 2:1 image (black) or 'lat:FROM,TO' in degrees")
     rolling_shutter_s: float = option(
-        0., 'For how long in seconds the rows of a picture are read, from the first to the last '
+        0., 'For how long in seconds a picture is read, from its first row or column to the last '
         '(rolling shutter), negative where the last one is the first; stamps are of the middle',
         minimum=-0.1, maximum=0.1)
+    rolling_shutter_by: str = option(
+        ROWS, 'What of a picture is read one after the other: its rows from above, or its columns '
+        'from the left where the sensor lies on its side', choices=READ_IN)
     max_prediction_s: float = option(
         0.5, 'For how long in seconds the last angular velocity is trusted without measurement',
         minimum=0., maximum=10.)
