@@ -31,4 +31,5 @@ __all__ = [
     'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'NOT_JOINED',
     'Option', 'options', 'PICTURE_LAYOUTS', 'PROJECTIONS', 'READ_IN', 'RESERVED', 'ROWS',
     'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig', 'STRETCHED_EQUIRECT',
-    'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME', 'view_parameters', 'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']
+    'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME', 'view_parameters', 'ViewConfig', 'VR180',
+    'with_option', 'YAW_FOLLOW']

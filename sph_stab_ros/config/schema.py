@@ -174,6 +174,9 @@ class NodeConfig(StabilizerConfig):
         '', 'Read the images of a camera or stream in place of a topic: /dev/video0, rtsp://..., '
         "rtmp://, http://, udp:// and what else FFmpeg reads, a file, or '-' for standard input",
         live=False)
+    source_rear: str = option(
+        '', "The source of the other lens' pictures, taken at the same times as those of source, "
+        'which join then puts together', live=False)
     source_options: str = option(
         '', "Options of FFmpeg for the source, NAME=VALUE,NAME=VALUE; for example a device's "
         'video_size=1920x960,framerate=30,input_format=mjpeg', live=False)
@@ -206,6 +209,8 @@ class NodeConfig(StabilizerConfig):
     def __post_init__(self) -> None:
         """Check each option's value, and that the views can be told apart."""
         super().__post_init__()
+        if self.source_rear and not self.source:
+            raise ConfigError('source_rear is of the other lens than source: name that, too')
         if not self.views or len(set(self.views)) < len(self.views):
             raise ConfigError('views are one or more different names')
         for name in self.views:

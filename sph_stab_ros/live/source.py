@@ -99,13 +99,18 @@ class LiveSource:
     def __init__(self, address: Address, take: Callable[[LivePicture], Any],
                  log: Log, refuse: Callable[[ImageError], Any], join: str = NOT_JOINED) -> None:
         require_pyav(address)
-        self.state = SourceState()
+        self.state, self.name = SourceState(), address.name
         self._address, self._join = address, join
         self._pairing: Pairing[LiveImage] = Pairing()
         self._take, self._log, self._refuse = take, log, refuse
         self._clock = CaptureClock()
         self._closing = Event()
         self._thread = Thread(target=self._run, name='source', daemon=True)
+
+    def why_silent(self) -> str:
+        """Return why nothing comes, '' where something does."""
+        state = self.state
+        return '' if state.status == CONNECTED else f'{self.name}: {state.why or state.status}'
 
     def start(self) -> None:
         """Start to read."""
@@ -207,16 +212,16 @@ class LiveSource:
             CONNECTED, '', codec, size_wh, self._clock.name,
             old.connections + (old.status != CONNECTED), old.pictures + 1, old.left_out)
         if old.status != CONNECTED:
-            self._log.info(f'{self._address.name}: {codec}, {width}x{height}')
+            self._log.info(f'{self.name}: {codec}, {width}x{height}')
         elif old.size_wh != size_wh:
-            self._log.warning(f'{self._address.name}: the pictures are {width}x{height} now')
+            self._log.warning(f'{self.name}: the pictures are {width}x{height} now')
         self._take(LivePicture(picture, stamp_ns, monotonic()))
 
     def _lose(self, why: str, is_over: bool) -> None:
         """Take note of why nothing comes, and say it once."""
         if is_over and self.state.pictures:
-            self._log.info(f'{self._address.name}: {why}')
+            self._log.info(f'{self.name}: {why}')
         elif why != self.state.why:
             self._log.warning(
-                f'{self._address.name}: {why}' + ('' if is_over else '; trying again'))
+                f'{self.name}: {why}' + ('' if is_over else '; trying again'))
         self.state = self.state._replace(status=ENDED if is_over else RECONNECTING, why=why)

@@ -16,7 +16,8 @@ from rclpy.node import Node
 from sph_stab_ros.config import ConfigError, NodeConfig
 from sph_stab_ros.images.image_error import ImageError
 from sph_stab_ros.live.address import address_of, SourceError
-from sph_stab_ros.live.source import CONNECTED, LivePicture, LiveSource
+from sph_stab_ros.live.joined import source_of
+from sph_stab_ros.live.source import LivePicture
 from sph_stab_ros.ros.diagnostics import Diagnostics
 from sph_stab_ros.ros.image_input import ReceivedImage
 
@@ -29,7 +30,8 @@ class SourceInput:
     ----------
     node : rclpy.node.Node
     config : NodeConfig
-        Names the source; ConfigError where that is none, or PyAV is missing.
+        Names the source, and the rear lens' if there is one; ConfigError where that is none, or
+        PyAV is missing.
     take : callable
         Takes each ReceivedImage, in the order of presentation.
     diagnostics : Diagnostics
@@ -43,23 +45,24 @@ class SourceInput:
         self._take = take
         self._diagnostics = diagnostics
         try:
-            address = address_of(config.source, config.source_options)
-            self._source = LiveSource(
-                address, self._on_picture, node.get_logger(), self._refuse, config.join)
+            address, rear = (address_of(text, config.source_options) if text else None
+                             for text in (config.source, config.source_rear))
+            assert address is not None, 'there is a source'
+            self._source = source_of(address, rear, self._on_picture, node.get_logger(),
+                                     self._refuse, config.join)
         except SourceError as error:
             raise ConfigError(str(error)) from None
-        self.name = address.name
+        self.name = self._source.name
         self._period_s, self._counted = monotonic(), 0
 
     @property
     def dropped(self) -> int:
-        """Return how many pictures were not decoded, since others came too soon."""
+        """Return how many pictures were not used, since others came too soon or lacked one."""
         return self._source.state.left_out
 
     def why_silent(self) -> str:
         """Return why nothing comes, '' where something does."""
-        state = self._source.state
-        return '' if state.status == CONNECTED else f'{self.name}: {state.why or state.status}'
+        return self._source.why_silent()
 
     def state(self) -> dict[str, Any]:
         """Return what /diagnostics says of the source, its rate since the last call included."""

@@ -20,7 +20,7 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import common
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
-from sph_stab_ros.geometry.rolling_shutter import RollingShutter, readout_shares
+from sph_stab_ros.geometry.rolling_shutter import readout_shares, RollingShutter
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame

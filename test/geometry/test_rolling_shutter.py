@@ -19,7 +19,7 @@ from sph_stab_ros.config import COLUMNS, ROWS, StabilizerConfig, TrackerConfig
 from sph_stab_ros.geometry.equirect import bearing_grid, pixels_from_bearings
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.geometry.rolling_shutter import (
-    rate_at_end, RollingShutter, readout_shares, shares_along, SHARES_WIDTH)
+    rate_at_end, readout_shares, RollingShutter, shares_along, SHARES_WIDTH)
 from sph_stab_ros.geometry.warp import equirect_warp
 from synthetic import textured_sphere, unit
 

@@ -86,6 +86,16 @@ def ending(*arguments, **environment):
     return done.returncode, said[-1].removeprefix('stabilizer: cannot start: ')
 
 
+@pytest.mark.parametrize('arguments, said', [
+    (('source_rear:=udp://@:5000', 'join:=left_right'),
+     'source_rear is of the other lens than source: name that, too'),
+    (('source:=udp://@:5000', 'source_rear:=udp://@:5001'),
+     'a source for the rear lens needs join:=left_right or top_bottom')])
+def test_half_of_two_lenses_is_refused(arguments, said):
+    parameters = [part for one in arguments for part in ('-p', one)]
+    assert ending(*parameters) == (2, said)
+
+
 def test_without_pyav_the_node_says_what_to_install(tmp_path):
     (tmp_path / 'av.py').write_text('raise ImportError')
     path = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
