@@ -37,10 +37,11 @@ from sph_stab_ros.images.codec import (
     compressed_fields, fill_image, fill_message, ImageError, JPEG_QUALITY)
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.jpeg import jpeg_fields, JpegFile
-from sph_stab_ros.live.address import Address, address_of, SourceError
+from sph_stab_ros.live.address import Address, SourceError
 from sph_stab_ros.live.joined import source_of
 from sph_stab_ros.live.source import LivePicture
 from sph_stab_ros.ros.diagnostics import ThrottledLog
+from sph_stab_ros.ros.source_input import source_address
 from sph_stab_ros.ros.starting import start_ros
 from sph_stab_ros.ros.topics import advertise, compressed_topic, is_wanted
 from sph_stab_ros.ros.worker import Worker
@@ -137,8 +138,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address, Address |
                         help=NODE_PARAMETERS['join'].description)
     args = parser.parse_args(argv)
     try:
-        return (args, address_of(args.source, args.options),
-                address_of(args.rear, args.options) if args.rear else None)
+        return (args, source_address(args.source, args.options),
+                source_address(args.rear, args.options) if args.rear else None)
     except SourceError as error:
         parser.error(str(error))
 

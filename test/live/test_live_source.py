@@ -277,6 +277,27 @@ def test_a_file_is_played_once(tmp_path):
         assert stamps_ns[-1] - stamps_ns[0] > 0.8 * 11 / 30 * 1e9
 
 
+@pytest.mark.parametrize('codec', ['libvpx', 'mpeg4', 'libx264'])
+def test_a_recording_that_begins_between_two_key_pictures_waits_for_one(tmp_path, codec, caplog):
+    """And says so, whoever decodes."""
+    whole, cut = tmp_path / 'whole.mkv', tmp_path / 'cut.mkv'
+    with sending(str(whole), 'matroska', codec, frames=24) as sender:
+        assert sender.wait(TIMEOUT_S) == 0
+    with av.open(whole) as there, av.open(cut, 'w') as here:
+        stream = here.add_stream_from_template(there.streams.video[0])
+        packets = [packet for packet in there.demux() if packet.size]
+        keys = [number for number, packet in enumerate(packets) if packet.is_keyframe]
+        assert keys[0] == 0 and len(keys) > 1
+        for packet in packets[keys[1] - 3:]:
+            packet.stream = stream
+            here.mux(packet)
+    with reading(str(cut)) as reader:
+        reader.wait_until(reader.source.has_ended)
+        assert reader.numbers == [*range(keys[1], 24)]
+        assert [one.reason for one in reader.refused] == 3 * [NO_KEY]
+    assert caplog.text.count('pictures passed over before a key picture: 3') == 1
+
+
 def test_a_pipe_ends_where_its_writer_does():
     with sending('pipe:1', 'h264', frames=8, stdout=subprocess.PIPE) as sender:
         address = address_of('-')._replace(url=f'pipe:{sender.stdout.fileno()}')

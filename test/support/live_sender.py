@@ -29,7 +29,7 @@ from tiny_recordings import turning_spheres
 RATE, KEY_PERIOD, BITS = 30, 10, 12
 # In place of the first number: pictures are numbered, and sent, by the clock of all senders.
 BY_CLOCK = -1
-TICKS = 3000
+TICKS = 1000
 CONNECTING_S = 20
 OPTIONS = {'libx264': {'preset': 'ultrafast', 'tune': 'zerolatency'}}
 PIX_FMT = {'mjpeg': 'yuvj420p'}
