@@ -134,7 +134,7 @@ test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported N
 benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; half an hour
 	mkdir -p results/benchmark
 	$(PY) -m sph_stab_ros.benchmark --json results/benchmark/benchmark.json
-	$(PAGE_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md
+	$(PAGE_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md docs/cameras.md
 
 ROS_JSON := results/benchmark-ros/benchmark_ros.json
 LATENCY := $(PY) tools/operator_latency.py --add-to $(ROS_JSON)
