@@ -148,7 +148,7 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware, an
 	@if command -v chromium > /dev/null; then \
 	  $(LATENCY) && $(LATENCY) --video jpeg --key jpeg && \
 	  $(LATENCY) --rate 6 --frames 80 --video jpeg --key slow && \
-	  $(LATENCY) --rate 6 --frames 80 --pictures stabilizer --key slow_stabilizer && \
+	  $(LATENCY) --rate 6 --frames 80 --video jpeg --pictures stabilizer --key slow_derotated && \
 	  if [ "$$(id -u)" = 0 ]; then \
 	    $(LATENCY) $(LOSSY) && $(LATENCY) $(LOSSY) --video jpeg --key link_jpeg && \
 	    $(LATENCY) --link 6 0.04 0 --key link_whole; \

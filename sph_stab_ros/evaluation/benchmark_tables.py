@@ -145,9 +145,8 @@ def stated(results: Sequence[Result]) -> Iterator[Row]:
 
 
 def _pictures(one: Mapping[str, Any]) -> str:
-    if one['pictures'] == 'stabilizer':
-        return "the node's derotated picture"
-    return {'h264': 'H.264', 'jpeg': 'JPEG'}[one['video']]
+    how = {'h264': 'H.264', 'jpeg': 'JPEG'}[one['video']]
+    return how + (', derotated by the node' if one['pictures'] == 'stabilizer' else '')
 
 
 def _link(link: Sequence[float] | None) -> str:

@@ -110,7 +110,7 @@ def folder(tmp_path):
     ('source ros', '| 299/300 | 50, 95, 99 | 286/300 | 50, 95, 99 | 38, 28 % | 0.0 |'),
     ('page ros', '| JPEG | 30 Hz | none | 31.0 | 298 of 300 | 50, 95 | 9, 60 % |'),
     ('page ros', '| H.264 | 30 Hz | 6 Mbit/s, 40 ms, 1 % lost |'),
-    ('page ros', "| the node's derotated picture | 30 Hz | none | 31.0 | 298 of 300 | – |"),
+    ('page ros', '| JPEG, derotated by the node | 30 Hz | none | 31.0 | 298 of 300 | – |'),
     ('soak soak', '| 600 | 14439 | 606, 1.01 s | 143 MB, +7.0 MB | passed |'),
     ('targets stages', '| cost | <= 10 ms | 12.0 ms | *missed* |'),
     ('targets stages', '| no growth | 6.0, 8.0 ms; +8 MB at 48 keyframes |'),
@@ -137,6 +137,10 @@ def test_tables_are_filled_in_between_their_marks_only(folder, block, said):
 def test_without_results_a_table_stays_as_it_is(folder):
     page = '<!-- times drone nothing -->\nold\n<!-- end -->\n<!-- other remark -->\n'
     assert filled(page, folder) == page
+    # Results that are of other things.
+    for kind in ('page', 'source', 'references'):
+        page = f'<!-- {kind} soak -->\nold\n<!-- end -->\n'
+        assert filled(page, folder) == page
 
 
 def test_an_unknown_table_is_named(folder):
