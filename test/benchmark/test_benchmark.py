@@ -20,6 +20,7 @@ from sph_stab_ros.benchmark.calls import inputs, medians, stage_calls
 from sph_stab_ros.benchmark.growth import growth
 from sph_stab_ros.benchmark.references import (
     FIVE_POINT, is_there, relative_rotation, structure_from_motion)
+from sph_stab_ros.evaluation.page_tables import filled
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.tracking import TrackedOrientation, TrackingStatus
@@ -146,6 +147,17 @@ def test_growth_is_there_and_references_need_truth(outcome):
     assert outcome['growth']['lost_frames'] == 0
     # There is no truth to compare with.
     assert outcome['references'] == {}
+
+
+def test_every_projection_is_there_and_their_table_is_filled(outcome, tmp_path):
+    assert set(outcome['projections']) == {
+        'equirect', 'stretched_equirect', 'cropped_equirect', 'cubemap', 'equi_angular_cubemap',
+        'fisheye', 'dual_fisheye'}
+    for members in outcome['projections'].values():
+        assert min(one['cpu_ms'] for one in members.values()) > 0
+    (tmp_path / 'benchmark.json').write_text(json.dumps(outcome))
+    page = '<!-- projections benchmark -->\n<!-- end -->'
+    assert filled(page, tmp_path) != page
 
 
 def test_only_the_parts_asked_for_are_measured(turning_bag, tmp_path):
