@@ -126,7 +126,8 @@ class InverseWarp:
         xyz = cv2.split(cv2.transform(bearings, np.float32(R_source_target.as_matrix())))
         u, v, uneven = projection.nodes(*xyz)
         if isinstance(projection, Equirect) and kernels.library is not None and (
-                image.dtype == np.uint8 and self._cell_px <= kernels.MAX_CELL):
+                image.dtype == np.uint8 and image[0, 0].size <= kernels.MAX_CHANNELS
+                and self._cell_px <= kernels.MAX_CELL):
             return self._read_compiled(image, u, v, uneven, xyz)
         target = self._interpolated(image, u, v, projection.border)
         if uneven.any():
