@@ -30,9 +30,10 @@ setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test t
 demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot in results/demo
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
-# Two processes of tests; those of the node in one of them, those of other programs in the other.
+# Three processes of tests, since many wait: for the node, for the page and for other programs, each
+# of which are in one of them.
 # After a crash nothing waits for what that process was to do.
-PYTEST := -m pytest -n 2 --dist loadgroup --max-worker-restart 0
+PYTEST := -m pytest -n 3 --dist loadgroup --max-worker-restart 0
 FAST := not slow and not thorough and not ros and not browser
 
 test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in three minutes

@@ -220,7 +220,8 @@ def find_colcon():
     return str(beside_python) if beside_python.exists() else shutil.which('colcon')
 
 
-@pytest.fixture(scope='module', params=['copied', 'symlinked'])
+@pytest.fixture(scope='module', params=[
+    'copied', pytest.param('symlinked', marks=pytest.mark.slow)])
 def workspace(request, tmp_path_factory):
     """Build a copy of the package with colcon and return the workspace."""
     colcon = find_colcon()

@@ -149,9 +149,8 @@ def localize(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid, R_world
                 np.random.default_rng(0), options.hypotheses, doubtful)
             pose = poses[np.argmin(costs)]
         pose = fit_depths(points, pose, options.pose)
-        agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
-        if agreeing.sum() < options.min_points or options.min_agreement > agreement(
-                voters.y, agreeing[mature], options.hypotheses):
+        agreeing = agreeing_with(pose, points.y, options, options.min_agreement, mature)
+        if agreeing is None:
             return None
         off_rad = (pose.R_camera_world * R_world_camera).magnitude()
         R_world_camera, guess = pose.R_camera_world.inv(), pose.position
@@ -159,6 +158,22 @@ def localize(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid, R_world
             break
         coarsely = True
     return Localization(found, points, pose, agreeing)
+
+
+def agreeing_with(pose: PoseEstimate, y: Bearings, options: LocalizationOptions,
+                  min_agreement: float, voters: Choice | None = None) -> Choice | None:
+    """
+    Return which of the points seen along y (N, 3) agree with a pose, (N,) bool, or None.
+
+    None unless ``min_points`` of them do, and ``min_agreement`` of the places where there are any,
+    or any of the voters (N,) bool.
+    """
+    agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
+    if agreeing.sum() < options.min_points:
+        return None
+    counted = slice(None) if voters is None else voters
+    held = agreement(y[counted], agreeing[counted], options.hypotheses)
+    return None if min_agreement > held else agreeing
 
 
 def match_landmarks(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid,

@@ -16,10 +16,10 @@ from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.localization import (
-    Localization, LocalizationOptions, look_along, Usable)
+    agreeing_with, Localization, LocalizationOptions, look_along, Usable)
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import fit_depths
-from sph_stab_ros.tracking.anchored.pose_hypotheses import agreement, fit_poses_among_movers
+from sph_stab_ros.tracking.anchored.pose_hypotheses import fit_poses_among_movers
 from sph_stab_ros.tracking.anchored.relocalization import turn_with_less_parallax
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import (
     epipolar_distance, fit_essential, INLIER_RAD)
@@ -79,8 +79,7 @@ def locate_widely(landmark_map: LandmarkMap, grey: Grey, pyramid: Pyramid, used:
         points, guesses, position_sigma, np.random.default_rng(0), localization.hypotheses,
         scale)
     pose = fit_depths(points, poses[np.argmin(costs)], localization.pose)
-    agreeing = localization.pose.loss.inliers(pose.sizes, pose.scale)
-    if agreeing.sum() < localization.min_points or localization.min_agreement > agreement(
-            points.y, agreeing, localization.hypotheses):
+    agreeing = agreeing_with(pose, points.y, localization, localization.min_agreement)
+    if agreeing is None:
         return None
     return Localization(found, points, pose, agreeing)
