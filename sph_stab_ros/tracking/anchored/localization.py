@@ -149,8 +149,8 @@ def localize(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid, R_world
                 np.random.default_rng(0), options.hypotheses, doubtful)
             pose = poses[np.argmin(costs)]
         pose = fit_depths(points, pose, options.pose)
-        agreeing = agreeing_with(pose, points.y, options, options.min_agreement, mature)
-        if agreeing is None:
+        agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
+        if not is_supported(points.y, agreeing, options, options.min_agreement, mature):
             return None
         off_rad = (pose.R_camera_world * R_world_camera).magnitude()
         R_world_camera, guess = pose.R_camera_world.inv(), pose.position
@@ -160,20 +160,17 @@ def localize(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid, R_world
     return Localization(found, points, pose, agreeing)
 
 
-def agreeing_with(pose: PoseEstimate, y: Bearings, options: LocalizationOptions,
-                  min_agreement: float, voters: Choice | None = None) -> Choice | None:
+def is_supported(y: Bearings, agreeing: Choice, options: LocalizationOptions,
+                 min_agreement: float, voters: Choice | None = None) -> bool:
     """
-    Return which of the points seen along y (N, 3) agree with a pose, (N,) bool, or None.
+    Tell whether enough of what is seen along y (N, 3) agrees with a pose: ``agreeing`` (N,) bool.
 
-    None unless ``min_points`` of them do, and ``min_agreement`` of the places where there are any,
-    or any of the voters (N,) bool.
+    ``min_points`` of them, and ``min_agreement`` of the places where there are any, or any of the
+    voters (N,) bool.
     """
-    agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
-    if agreeing.sum() < options.min_points:
-        return None
     counted = slice(None) if voters is None else voters
-    held = agreement(y[counted], agreeing[counted], options.hypotheses)
-    return None if min_agreement > held else agreeing
+    return bool(agreeing.sum() >= options.min_points) and not (
+        min_agreement > agreement(y[counted], agreeing[counted], options.hypotheses))
 
 
 def match_landmarks(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid,

@@ -26,7 +26,7 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.localization import (
-    agreeing_with, Localization, LocalizationOptions, look_along, Usable)
+    is_supported, Localization, LocalizationOptions, look_along, Usable)
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import Points, PoseEstimate
 from sph_stab_ros.tracking.anchored.pose_hypotheses import fit_poses_among_movers, Guess, places
@@ -105,8 +105,8 @@ class MapInitializer:
             poses, costs = fit_poses_among_movers(
                 points, guesses, sigma, self._rng, options.hypotheses)
             pose = poses[np.argmin(costs)]
-            agreeing = agreeing_with(pose, points.y, options, self._options.min_agreement)
-            if agreeing is None:
+            agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
+            if not is_supported(points.y, agreeing, options, self._options.min_agreement):
                 return None
             R_camera_last = pose.R_camera_world * R_world_key * self._rivals[0][0].inv()
             if (pose.R_camera_world * R_world_camera).magnitude() < options.good_prediction_rad:

@@ -16,7 +16,7 @@ from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.localization import (
-    agreeing_with, Localization, LocalizationOptions, look_along, Usable)
+    is_supported, Localization, LocalizationOptions, look_along, Usable)
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import fit_depths
 from sph_stab_ros.tracking.anchored.pose_hypotheses import fit_poses_among_movers
@@ -79,7 +79,7 @@ def locate_widely(landmark_map: LandmarkMap, grey: Grey, pyramid: Pyramid, used:
         points, guesses, position_sigma, np.random.default_rng(0), localization.hypotheses,
         scale)
     pose = fit_depths(points, poses[np.argmin(costs)], localization.pose)
-    agreeing = agreeing_with(pose, points.y, localization, localization.min_agreement)
-    if agreeing is None:
+    agreeing = localization.pose.loss.inliers(pose.sizes, pose.scale)
+    if not is_supported(points.y, agreeing, localization, localization.min_agreement):
         return None
     return Localization(found, points, pose, agreeing)
