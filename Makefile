@@ -145,6 +145,7 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware, an
 	$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml --json $(ROS_JSON)
 	$(PY) -m sph_stab_ros.benchmark.source --add-to $(ROS_JSON)
 	$(PY) -m sph_stab_ros.benchmark.source --view --add-to $(ROS_JSON)
+	$(PY) -m sph_stab_ros.benchmark.source --width 3840 --view --add-to $(ROS_JSON)
 	@if command -v chromium > /dev/null; then \
 	  $(LATENCY) && $(LATENCY) --video jpeg --key jpeg && \
 	  $(LATENCY) --rate 6 --frames 80 --video jpeg --key slow && \

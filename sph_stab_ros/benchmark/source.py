@@ -239,7 +239,7 @@ def benchmark(args: Namespace) -> None:
         f'{who} {percent:.0f}' for who, percent in result.get('cpu_percent', {}).items()))
     if args.add_to:
         others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
-        key = f'{KEY}_view' if args.view else KEY
+        key = f'{KEY}_{args.width}' + ('_view' if args.view else '')
         with partial_output(args.add_to, force=True) as path:
             path.write_text(json.dumps({**others, key: result}, indent=2) + '\n')
 

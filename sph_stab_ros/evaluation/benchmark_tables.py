@@ -63,13 +63,13 @@ def node(results: Sequence[Result]) -> Iterator[Row]:
 
 
 def source(results: Sequence[Result]) -> Iterator[Row]:
-    """Yield the rows of a table of the node with a source, without and with a view."""
+    """Yield the rows of a table of the node with a source, by width, without and with a view."""
     result, = results
     yield ('H.264 by RTSP', 'orientations', 'p50, p95, p99 in ms', 'views', 'p50, p95, p99 in ms',
            'CPU node, sender', 'load before')
-    for key, views in ('source', 'nobody wants pictures'), ('source_view', 'the view as JPEG'):
-        one = result.get(key)
-        if one:
+    for key, one in sorted(result.items()):
+        if key.startswith('source'):
+            views = 'the view as JPEG' if one['views'] else 'nobody wants pictures'
             cells = [cell for name in ('orientations', 'views') for cell in (
                 f'{one[name]}/{one["frames"]}' if one[name] else '–',
                 _whole(one[f'{name}_latency_ms'], 'p50', 'p95', 'p99'))]
