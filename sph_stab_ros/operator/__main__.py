@@ -213,8 +213,8 @@ def datagrams(warn: Callable[[str, str], object]) -> 'Datagrams | None':
     except ImportError as error:
         if error.name != 'aioquic':
             raise
-    LOG.info("video would suffer less from lost packets with aioquic: pip install "
-             "'sph_stab_ros[datagrams]'")
+    LOG.info("lost packets hold video up: it needs pip install 'sph_stab_ros[datagrams]' against "
+             'that')
     return None
 
 

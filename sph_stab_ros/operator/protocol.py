@@ -162,12 +162,12 @@ class Link:
 
 
 Command: TypeAlias = (
-    Drawn | Skipped | Arrived | NeedKey | Echo | Look | TakeControl | ResetHeading | Level | SetMode
-    | Record | Link)
+    Drawn | Skipped | Arrived | NeedKey | Echo | Look | TakeControl | ResetHeading | Level
+    | SetMode | Record | Link)
 
 COMMANDS: dict[str, type[Command]] = {
-    'drawn': Drawn, 'skipped': Skipped, 'arrived': Arrived, 'need_key': NeedKey, 'echo': Echo, 'look': Look,
-    'take_control': TakeControl, 'reset_heading': ResetHeading, 'level': Level,
+    'drawn': Drawn, 'skipped': Skipped, 'arrived': Arrived, 'need_key': NeedKey, 'echo': Echo,
+    'look': Look, 'take_control': TakeControl, 'reset_heading': ResetHeading, 'level': Level,
     'set_mode': SetMode, 'record': Record, 'link': Link}
 
 

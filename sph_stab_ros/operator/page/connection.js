@@ -77,12 +77,14 @@ export class Connection {
       this.handlers.received(data.byteLength);
       const [header, file] = parsed(data);
       (header.chunk ? video : decoder).take(header, file);
+      return header;
     };
     socket.onmessage = ifCurrent(({data}) => {
       this.checks = 0;
       this.retryMs = FIRST_RETRY_MS;
       if (typeof data !== 'string') {
-        takePicture(data);
+        // One that is newer than those by datagrams: the server has given these up.
+        if (takePicture(data).sequence > (this.datagrams?.newest || Infinity)) this.datagrams.close();
         return;
       }
       const message = JSON.parse(data);

@@ -29,6 +29,11 @@ export class Datagrams {
     return Boolean(this.writer);
   }
 
+  // The number of the newest picture that has come, 0 before the first.
+  get newest() {
+    return this.messages.newest;
+  }
+
   async #listen() {
     await this.transport.ready;
     const {readable, writable} = this.transport.datagrams;
