@@ -34,7 +34,7 @@ from cryptography.hazmat.primitives import hashes
 from sph_stab_ros.operator.certificate import new_brief_identity
 from sph_stab_ros.operator.client import Client
 from sph_stab_ros.operator.listening import Allowance, BURST_BYTES, BYTES_PER_S
-from sph_stab_ros.operator.pieces import pieces
+from sph_stab_ros.operator.pieces import group_pieces, pieces
 from sph_stab_ros.operator.protocol import (
     Arrived, Command, Drawn, parse_command, ProtocolError)
 
@@ -52,14 +52,19 @@ LONG_HEADER = 0x80
 # What no browser has acknowledged is forgotten by then, or the browser.
 MAX_IN_FLIGHT_BYTES = 1 << 20
 UNHURRIED = 'sph_stab_ros'
+# How many packets tell what share of them gets lost.
+LOSS_PACKETS = 500
 
 
 class RateIsElsewhere(QuicCongestionControl):
     """
     Sends what there is to send: how much that is RateControl decides, by how late pictures are.
 
-    QUIC's own ways take every lost packet for a sign of a crowded link.
+    QUIC's own ways take every lost packet for a sign of a crowded link. ``loss`` is the share of
+    packets that get lost, lately.
     """
+
+    loss = 0.
 
     def __init__(self, *, max_datagram_size: int) -> None:
         super().__init__(max_datagram_size=max_datagram_size)
@@ -70,16 +75,19 @@ class RateIsElsewhere(QuicCongestionControl):
         self.bytes_in_flight += packet.sent_bytes
 
     def on_packet_acked(self, *, now: float, packet: Any) -> None:
-        """Count what is on its way."""
+        """Count what is on its way, and what gets lost."""
         self.bytes_in_flight -= packet.sent_bytes
+        self.loss -= self.loss / LOSS_PACKETS
 
     def on_packets_expired(self, *, packets: Any) -> None:
         """Count what is on its way."""
         self.bytes_in_flight -= sum(packet.sent_bytes for packet in packets)
 
     def on_packets_lost(self, *, now: float, packets: Any) -> None:
-        """Count what is on its way."""
-        self.on_packets_expired(packets=packets)
+        """Count what is on its way, and what gets lost."""
+        for packet in packets:
+            self.bytes_in_flight -= packet.sent_bytes
+            self.loss += (1 - self.loss) / LOSS_PACKETS
 
     def on_persistent_congestion(self) -> None:
         """Do nothing."""
@@ -125,11 +133,13 @@ class Session(QuicConnectionProtocol):
 
     def send(self, sequence: int, message: bytes, is_key: bool) -> None:
         """Send a picture; one that is no key picture needs the one before."""
-        assert self._http is not None
-        if self._quic._loss.bytes_in_flight > MAX_IN_FLIGHT_BYTES:
+        control = self._quic._loss._cc
+        assert self._http is not None and isinstance(control, RateIsElsewhere)
+        if control.bytes_in_flight > MAX_IN_FLIGHT_BYTES:
             self.drop('no answer')
             return
-        for piece in pieces(sequence, 0 if is_key else self._last, message):
+        for piece in pieces(sequence, 0 if is_key else self._last, message,
+                            group_pieces(control.loss)):
             self._http.send_datagram(self._stream, piece)
         self._last = sequence
         self.transmit()

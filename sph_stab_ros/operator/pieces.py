@@ -20,21 +20,28 @@ import numpy as np
 
 # With what HTTP/3, QUIC and IP put around it, within the 1280 bytes that every way takes.
 PIECE_BYTES = 1100
-# Without the spare ones. Of 22, 1 % of which get lost, three do once in 800 times.
-GROUP_PIECES = 20
-HEADER = '<IIIH'
+# How many a group has at most without the spare ones, by the share of packets that get lost: three
+# do in less than one of 200 groups.
+GROUP_PIECES = (0.015, 20), (0.035, 8), (1., 4)
+HEADER = '<IIIHB'
 
 
-def pieces(number: int, after: int, message: bytes) -> list[bytes]:
+def group_pieces(loss: float) -> int:
+    """Return how many pieces there are to be in a group."""
+    return next(count for most, count in GROUP_PIECES if loss <= most)
+
+
+def pieces(number: int, after: int, message: bytes, per_group: int) -> list[bytes]:
     """
     Return the pieces of a message, in the order in which they are to be sent.
 
     Each begins with HEADER: the number of the message, that of the one it can be used after, 0
-    where it needs none, its length, and the index of the piece. The piece ``i`` is of the group
+    where it needs none, its length, the index of the piece, and ``per_group``, how many a group has
+    at most without the spare ones. The piece ``i`` is of the group
     ``i % groups``; behind the message's own come P and Q of each group in turn.
     """
     count = -(-len(message) // PIECE_BYTES)
-    groups = -(-count // GROUP_PIECES)
+    groups = -(-count // per_group)
     padded = np.zeros((count, PIECE_BYTES), np.uint8)
     padded.flat[:len(message)] = np.frombuffer(message, np.uint8)
     padded = padded[:, :len(message)]
@@ -42,7 +49,7 @@ def pieces(number: int, after: int, message: bytes) -> list[bytes]:
     for group in range(groups):
         own = padded[group::groups]
         cut += [np.bitwise_xor.reduce(own).tobytes(), weighted_sum(own).tobytes()]
-    return [pack(HEADER, number, after, len(message), index) + piece
+    return [pack(HEADER, number, after, len(message), index, per_group) + piece
             for index, piece in enumerate(cut)]
 
 

@@ -14,14 +14,15 @@ from random import Random
 from struct import pack
 
 import pytest
-from sph_stab_ros.operator.pieces import GROUP_PIECES, HEADER, PIECE_BYTES, pieces
+from sph_stab_ros.operator.pieces import group_pieces, HEADER, PIECE_BYTES, pieces
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from bare_page import bare_page  # noqa: E402, I100
 
 # Of one piece, of some, of two groups and of three that are not full.
+PER_GROUP = 20
 LENGTHS = [1, PIECE_BYTES, PIECE_BYTES + 1, 3 * PIECE_BYTES - 7,
-           2 * GROUP_PIECES * PIECE_BYTES, 2 * GROUP_PIECES * PIECE_BYTES + 5]
+           2 * PER_GROUP * PIECE_BYTES, 2 * PER_GROUP * PIECE_BYTES + 5]
 # Hears datagrams; tells what can be used, and how far it is.
 HEAR = """async datagrams => {
     const {Messages} = await import('/pieces.js'), got = [];
@@ -45,23 +46,24 @@ def hear():
         yield hear
 
 
-def groups(length):
+def groups(length, per_group):
     """Return the indices of the pieces of each group."""
     count = -(-length // PIECE_BYTES)
-    of_groups = -(-count // GROUP_PIECES)
+    of_groups = -(-count // per_group)
     return [[*range(group, count, of_groups), count + 2 * group, count + 2 * group + 1]
             for group in range(of_groups)]
 
 
+@pytest.mark.parametrize('per_group', [1, 4, PER_GROUP])
 @pytest.mark.parametrize('length', LENGTHS)
-def test_any_two_of_each_group_may_get_lost(hear, length):
+def test_any_two_of_each_group_may_get_lost(hear, length, per_group):
     random = Random(length)
     message = random.randbytes(length)
-    sent = pieces(7, 0, message)
-    assert sorted(sum(groups(length), [])) == list(range(len(sent)))
+    sent, own = pieces(7, 0, message, per_group), groups(length, per_group)
+    assert sorted(sum(own, [])) == list(range(len(sent)))
     # Within what a QUIC packet of 1200 bytes takes.
     assert max(map(len, sent)) < 1150
-    pairs = [list(combinations(group, 2)) for group in groups(length)]
+    pairs = [list(combinations(group, 2)) for group in own]
     for n in range(max(map(len, pairs))):
         lost = {index for one in pairs for index in one[n % len(one)]}
         left = [one for index, one in enumerate(sent) if index not in lost]
@@ -72,18 +74,19 @@ def test_any_two_of_each_group_may_get_lost(hear, length):
 def test_with_three_lost_there_is_no_message_and_none_that_needs_it(hear):
     random = Random(3)
     first, second, third, key, last = (random.randbytes(9000 + n) for n in range(5))
-    sent = [pieces(1, 0, first), pieces(2, 1, second)[3:], pieces(4, 2, third)]
+    late = pieces(2, 1, second, PER_GROUP)
+    sent = [pieces(1, 0, first, PER_GROUP), late[3:], pieces(4, 2, third, PER_GROUP)]
     assert hear(sum(sent, [])) == ([first], 1, 4)
-    sent += [pieces(5, 0, key), pieces(9, 5, last)]
+    sent += [pieces(5, 0, key, PER_GROUP), pieces(9, 5, last, PER_GROUP)]
     assert hear(sum(sent, [])) == ([first, key, last], 9, 9)
     # Nor does what comes late, or twice, count.
-    assert hear(sum(sent, []) + pieces(2, 1, second) + sum(sent, [])) == ([first, key, last], 9, 9)
+    assert hear(sum(sent, []) + late + sum(sent, [])) == ([first, key, last], 9, 9)
 
 
 def test_the_order_in_which_pieces_come_does_not_matter(hear):
     messages = [Random(n).randbytes(1 + 5000 * n) for n in range(5)]
     for seed in range(10):
-        sent = [piece for n, one in enumerate(messages, 1) for piece in pieces(n, n - 1, one)]
+        sent = [piece for n, one in enumerate(messages, 1) for piece in pieces(n, n - 1, one, 4)]
         Random(seed).shuffle(sent)
         assert hear(sent) == (messages, 5, 5)
 
@@ -91,13 +94,15 @@ def test_the_order_in_which_pieces_come_does_not_matter(hear):
 def test_garbage_gives_nothing_and_hinders_nothing(hear):
     random = Random(0)
     message = random.randbytes(5000)
-    sent = pieces(3, 0, message)
+    sent = pieces(3, 0, message, PER_GROUP)
     garbage = [random.randbytes(random.randrange(1200)) for _ in range(200)]
     garbage += [one[:random.randrange(len(one))] for one in sent]
     garbage += [sent[0] + b'x', *(pack(HEADER, *values) + bytes(size) for size in (0, 1, 1100)
-                                  for values in ((3, 3, 5000, 0), (3, 0, 0, 0), (0, 0, 1, 0),
-                                                 (3, 2, 4999, 0), (3, 0, 5000, 999),
-                                                 (3, 0, 2**32 - 1, 0)))]
+                                  for values in (
+                                          (3, 3, 5000, 0, 20), (3, 0, 0, 0, 20), (0, 0, 1, 0, 20),
+                                          (3, 2, 4999, 0, 20), (3, 0, 5000, 999, 20),
+                                          (3, 0, 5000, 0, 0), (3, 0, 5000, 0, 4),
+                                          (3, 0, 2**32 - 1, 0, 20)))]
     got, _, _ = hear(sent[:1] + garbage + sent[1:])
     assert got == [message]
 
@@ -105,3 +110,7 @@ def test_garbage_gives_nothing_and_hinders_nothing(hear):
 def test_nothing_is_heard_of_garbage_alone(hear):
     random = Random(1)
     assert hear([random.randbytes(random.randrange(1200)) for _ in range(300)]) == ([], 0, 0)
+
+
+def test_the_more_get_lost_the_more_are_spare():
+    assert [group_pieces(loss) for loss in (0., 0.01, 0.03, 0.1, 1.)] == [20, 20, 8, 4, 4]

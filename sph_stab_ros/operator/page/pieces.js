@@ -3,7 +3,7 @@
 
 // Messages out of pieces of which some got lost; pieces.py says what these are.
 
-const PIECE_BYTES = 1100, GROUP_PIECES = 20, HEADER_BYTES = 14;
+const PIECE_BYTES = 1100, HEADER_BYTES = 15;
 // More is no picture's.
 const MAX_BYTES = 1 << 22;
 // Of GF(256): powers of 2, and of what power each number is.
@@ -32,8 +32,10 @@ export class Messages {
     const view = new DataView(data.buffer, data.byteOffset);
     const [number, after, length] = [0, 4, 8].map(at => view.getUint32(at, true));
     if (number <= this.usable || after >= number || !length || length > MAX_BYTES) return;
-    const part = this.parts.get(number) ?? new Parts(after, length);
-    if (part.after !== after || part.length !== length) return;
+    const perGroup = view.getUint8(14);
+    if (!perGroup) return;
+    const part = this.parts.get(number) ?? new Parts(after, length, perGroup);
+    if (part.after !== after || part.length !== length || part.perGroup !== perGroup) return;
     this.parts.set(number, part);
     if (!part.put(view.getUint16(12, true), data.subarray(HEADER_BYTES))) return;
     this.newest = Math.max(this.newest, number);
@@ -55,9 +57,10 @@ export class Messages {
 }
 
 class Parts {
-  constructor(after, length) {
-    const count = Math.ceil(length / PIECE_BYTES), groups = Math.ceil(count / GROUP_PIECES);
-    Object.assign(this, {after, length, count, groups, pieces: [], missing: count, whole: null});
+  constructor(after, length, perGroup) {
+    const count = Math.ceil(length / PIECE_BYTES), groups = Math.ceil(count / perGroup);
+    Object.assign(this, {
+      after, length, perGroup, count, groups, pieces: [], missing: count, whole: null});
   }
 
   // Tells whether this piece has made it whole.
