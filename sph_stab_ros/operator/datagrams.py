@@ -46,10 +46,10 @@ CERTIFICATE_S = 5 * 24 * 3600.
 PATIENCE_S = 5.
 # A way without any packet for so long is given up, at both ends.
 IDLE_S = 5.
-# First packets of connections. A browser needs five; each may cost a signature.
+# First packets of connections, of which a browser needs some ten; they may cost a signature.
 FIRST_PER_S, FIRST_BURST = 50., 200.
 LONG_HEADER = 0x80
-# What no browser has acknowledged is forgotten by then, or the browser.
+# With more of it not acknowledged, packet by packet, a browser has to go.
 MAX_IN_FLIGHT_BYTES = 1 << 20
 UNHURRIED = 'sph_stab_ros'
 # How many packets tell what share of them gets lost.

@@ -36,9 +36,9 @@ def pieces(number: int, after: int, message: bytes, per_group: int) -> list[byte
     Return the pieces of a message, in the order in which they are to be sent.
 
     Each begins with HEADER: the number of the message, that of the one it can be used after, 0
-    where it needs none, its length, the index of the piece, and ``per_group``, how many a group has
-    at most without the spare ones. The piece ``i`` is of the group
-    ``i % groups``; behind the message's own come P and Q of each group in turn.
+    where it needs none, its length, the index of the piece, and ``per_group``, how many pieces a
+    group has at most without the spare ones. Piece ``i`` is of group ``i % groups``; behind the
+    message's own come P and Q of each group in turn.
     """
     count = -(-len(message) // PIECE_BYTES)
     groups = -(-count // per_group)

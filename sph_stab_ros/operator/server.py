@@ -57,7 +57,7 @@ class OperatorServer:
     video
         Where there is one, for browsers that take it in place of files.
     datagrams
-        Where there are any, a way for video that is encrypted.
+        Where there are any, another way for video, which is always encrypted.
 
     """
 
@@ -91,8 +91,6 @@ class OperatorServer:
         listener = await Listener.start(
             runner, host, port, tls,
             lambda name: self._warn('dropped', f'{name} dropped: too much data'))
-        if not (tls and self._video):
-            self._datagrams = None
         if self._datagrams:
             try:
                 await self._datagrams.start(listener.addresses, self._obey)
