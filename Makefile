@@ -11,7 +11,8 @@ EVALUATE := $(PY) -m sph_stab_ros.evaluate --flows farneback,dis
 SIMULATE := $(PY) -m sph_stab_ros.simulation
 RENDER := $(BPY) tools/photoreal/render.py
 RESULTS := results/evaluation
-FILL_IN_TABLES := $(PY) -m sph_stab_ros.evaluation.page_tables $(RESULTS) docs/evaluation.md
+PAGE_TABLES := $(PY) -m sph_stab_ros.evaluation.page_tables
+FILL_IN_TABLES := $(PAGE_TABLES) $(RESULTS) docs/evaluation.md
 
 # The virtual environments bring their own ROS 2; one that the shell has sourced must not mix in.
 unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION
@@ -20,7 +21,7 @@ export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
 .PHONY: evaluation-real evaluation-offline evaluation-hard evaluation-rolling company evaluation-company benchmark
-.PHONY: benchmark-company benchmark-ros soak docs frames bags hard-frames hard constraints packages clean
+.PHONY: ablation benchmark-batch benchmark-company benchmark-ros soak stated-tables docs frames bags hard-frames hard constraints packages clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -30,9 +31,10 @@ setup: .venv/complete  ## Build .venv: the package, ROS 2, colcon and the test t
 demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot in results/demo
 	$(PY) -m sph_stab_ros.demo bags/drone results/demo
 
-# Two processes of tests; those of the node in one of them, those of other programs in the other.
+# Three processes of tests, since many wait: for the node, for the page and for other programs, each
+# of which are in one of them.
 # After a crash nothing waits for what that process was to do.
-PYTEST := -m pytest -n 2 --dist loadgroup --max-worker-restart 0
+PYTEST := -m pytest -n 3 --dist loadgroup --max-worker-restart 0
 FAST := not slow and not thorough and not ros and not browser
 
 test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in three minutes
@@ -56,7 +58,7 @@ coverage: setup  ## Run what needs no ROS, and tell in docs/tests.md what that c
 	mkdir -p results/coverage
 	$(PY) $(PYTEST) -m 'not slow and not ros and not browser' --cov --cov-report=html:results/coverage/html \
 	    --cov-report=json:results/coverage/coverage.json
-	$(PY) -m sph_stab_ros.evaluation.page_tables results/coverage docs/tests.md
+	$(PAGE_TABLES) results/coverage docs/tests.md
 
 ledger: setup  ## Write test/ledger.json, the accuracy measured; ONLY='drone anchored' for a part
 	$(PY) test/support/tracking_accuracy.py $(ONLY)
@@ -115,7 +117,7 @@ evaluation-rolling: setup  ## With a rolling shutter, not told of and told, on t
 	    $(call ROLLED,$$one) --json $(RESULTS)/rolling_$$one.json && \
 	    $(call ROLLED,$$one) -p rolling_shutter_s:=0.02 --json $(RESULTS)/rolling_$${one}_told.json \
 	    || exit 1; done
-	$(PY) -m sph_stab_ros.evaluation.page_tables $(RESULTS) docs/cameras.md
+	$(PAGE_TABLES) $(RESULTS) docs/cameras.md
 
 evaluation-hard: setup  ## The same on what make hard has written
 	mkdir -p $(RESULTS)
@@ -132,23 +134,40 @@ test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported N
 benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; half an hour
 	mkdir -p results/benchmark
 	$(PY) -m sph_stab_ros.benchmark --json results/benchmark/benchmark.json
+	$(PAGE_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md
 
-benchmark-ros: setup  ## Measure the node end to end, through the middleware
+ROS_JSON := results/benchmark-ros/benchmark_ros.json
+LATENCY := $(PY) tools/operator_latency.py --add-to $(ROS_JSON)
+LOSSY := --link 6 0.04 0.01
+
+benchmark-ros: setup  ## Measure the node end to end, through the middleware, and the page
 	mkdir -p results/benchmark-ros
-	$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml \
-	    --json results/benchmark-ros/benchmark_ros.json
-	$(PY) -m sph_stab_ros.benchmark.source --add-to results/benchmark-ros/benchmark_ros.json
+	$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml --json $(ROS_JSON)
+	$(PY) -m sph_stab_ros.benchmark.source --add-to $(ROS_JSON)
+	$(PY) -m sph_stab_ros.benchmark.source --view --add-to $(ROS_JSON)
 	@if command -v chromium > /dev/null; then \
-	  $(PY) tools/operator_latency.py --add-to results/benchmark-ros/benchmark_ros.json && \
+	  $(LATENCY) && $(LATENCY) --video jpeg --key jpeg && \
+	  $(LATENCY) --rate 6 --frames 80 --video jpeg --key slow && \
+	  $(LATENCY) --rate 6 --frames 80 --pictures stabilizer --key slow_stabilizer && \
 	  if [ "$$(id -u)" = 0 ]; then \
-	    $(PY) tools/operator_latency.py --link 6 0.04 0.01 \
-	        --add-to results/benchmark-ros/benchmark_ros.json; \
+	    $(LATENCY) $(LOSSY) && $(LATENCY) $(LOSSY) --video jpeg --key link_jpeg && \
+	    $(LATENCY) --link 6 0.04 0 --key link_whole; \
 	  else echo "without root the page is not measured over a bad link"; fi; \
 	else echo "without chromium the operator's page is not measured"; fi
+	$(PAGE_TABLES) results/benchmark-ros docs/node.md docs/benchmark.md docs/operator.md
+
+benchmark-batch: setup  ## What an hour of footage costs batch, and what segments do; minutes
+	mkdir -p results/benchmark-batch
+	$(PY) -m sph_stab_ros.benchmark.batch --json results/benchmark-batch/batch.json
+	$(PAGE_TABLES) results/benchmark-batch docs/scale.md
 
 soak: setup  ## Let the node run for ten minutes while everything around it changes
 	mkdir -p results/soak
 	$(PY) -m sph_stab_ros.benchmark.soak --json results/soak/soak.json
+	$(PAGE_TABLES) results/soak docs/node.md
+
+stated-tables: setup  ## Fill in the tables of docs/measured, which no target measures
+	$(PAGE_TABLES) docs/measured README.md
 
 frames:  ## Render the pictures of the recordings into FRAMES by tools/photoreal; resumes
 	$(RENDER) drone '$(FRAMES)/drone' --logs '$(LOGS)' --frames 500
@@ -204,6 +223,13 @@ benchmark-company: setup  ## How exact others' methods are on the same; minutes 
 	for one in $(COMPANY); do \
 	    $(PY) -m sph_stab_ros.benchmark $$one --parts references \
 	    --json results/benchmark/company/$$(basename $$one).json || exit 1; done
+	$(PAGE_TABLES) results/benchmark docs/benchmark.md
+
+ablation: setup  ## What each part of anchored is worth, on bags and what make company has written
+	mkdir -p $(RESULTS)
+	$(PY) tools/ablation.py bags/drone bags/pioneer bags/handheld \
+	    $(dir $(wildcard results/company/*/metadata.yaml)) --json $(RESULTS)/ablation.json
+	$(FILL_IN_TABLES)
 
 docs: .venv-docs/complete  ## Build the documentation's site into results/docs
 	PACKAGE_PYTHON='$(CURDIR)/$(PY)' .venv-docs/bin/python -m sphinx -W --keep-going -E -b html docs results/docs

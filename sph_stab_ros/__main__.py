@@ -8,8 +8,9 @@
 
 """All executables behind one name that no other program has: ``sph-stab NAME ARGUMENTS…``."""
 
-from importlib import import_module
 import sys
+
+from sph_stab_ros.executable import start
 
 # By their names, the modules whose main() they are, and what for.
 COMMANDS = {
@@ -38,8 +39,7 @@ def main() -> int:
     # Each reads sys.argv itself, as ROS does.
     del sys.argv[1]
     sys.argv[0] = f'sph-stab {name}'
-    status: int = import_module(f'sph_stab_ros.{COMMANDS[name][0]}').main()
-    return status
+    return start(COMMANDS[name][0])
 
 
 def usage() -> str:

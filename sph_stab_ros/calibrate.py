@@ -13,12 +13,16 @@ The recording should turn about all axes, somewhere with texture all around and 
 than a metre or two. Of one that shows less it says which parameters it could not tell.
 """
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('calibrate'))
+
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
-import sys
 
 import numpy as np
 
@@ -122,7 +126,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(line)
 
     return run('calibrate', command)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -17,6 +17,11 @@ SIGTERM and at the end of a file or pipe.
 The node itself needs none of this: its parameter source reads the same past the middleware.
 """
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('camera'))
+
 from argparse import Namespace
 from collections.abc import Sequence
 import sys
@@ -172,7 +177,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             if node:
                 node.destroy_node()
             rclpy.try_shutdown()
-
-
-if __name__ == '__main__':
-    sys.exit(main())

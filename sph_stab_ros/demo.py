@@ -14,6 +14,11 @@ to what they publish and leaves it in a video and a plot. In a terminal the reco
 played over and over until Ctrl-C; elsewhere it is played once, or for DEMO_SECONDS.
 """
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('demo'))
+
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from importlib.util import find_spec
@@ -233,7 +238,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             rclpy.try_shutdown()
 
     return run('demo', command)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

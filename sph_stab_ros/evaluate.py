@@ -8,6 +8,11 @@
 
 """Evaluate estimators against a recording's truth, or against rotations injected into it."""
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('evaluate'))
+
 from argparse import Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -15,7 +20,6 @@ from dataclasses import replace
 from itertools import product
 import json
 import logging
-import sys
 from typing import TypeAlias
 
 import numpy as np
@@ -259,7 +263,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise RecordingError(f'{args.recording.name}: {error}') from error
 
     return run('evaluate', command)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

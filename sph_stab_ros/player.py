@@ -14,6 +14,11 @@ remap them with ``--ros-args -r image:=/camera/image``. Video is decoded where i
 a package that is not installed. Ends with status 0 on SIGINT and SIGTERM.
 """
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('player'))
+
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -290,7 +295,3 @@ def main(argv: Sequence[str] | None = None) -> int:
                 node.destroy_node()
             rclpy.try_shutdown()
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

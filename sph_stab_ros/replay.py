@@ -8,6 +8,11 @@
 
 """Stabilise a recording offline: a bag or video in, a trajectory and a bag or video out."""
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('replay'))
+
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
@@ -15,7 +20,6 @@ from dataclasses import replace
 import os
 from pathlib import Path
 import re
-import sys
 import time
 from typing import Any, TypeAlias
 
@@ -294,7 +298,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(line)
 
     return run('replay', command)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

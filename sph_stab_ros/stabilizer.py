@@ -8,24 +8,11 @@
 
 """The ROS 2 node as an executable, see ``ros.node``."""
 
-import os
-import signal
-import sys
-from typing import Any
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM and return 0, or 2 where it cannot start."""
-    # What it needs takes a second to import: a Ctrl-C meanwhile would show at which line.
-    signal.signal(signal.SIGINT, _end_at_once)
-    from sph_stab_ros.ros.node import run
-    return run(args)
-
-
-def _end_at_once(*signal_and_frame: Any) -> None:
-    """End while nothing has begun."""
-    os._exit(0)
-
-
+# Before all that takes time to import.
 if __name__ == '__main__':
-    sys.exit(main())
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('stabilizer'))
+
+from sph_stab_ros.ros.node import run as main
+
+__all__ = ['main']

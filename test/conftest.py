@@ -40,7 +40,8 @@ MARKED = {
         'batch', 'command_line/test_names_and_texts.py', 'command_line/test_out_of_memory.py',
         'evaluation', 'fuzz', 'live', 'recording/test_cube_video.py', 'recording/test_sound.py',
         'recording/test_stereo_video.py', 'simulation', 'test_calibrate.py', 'test_evaluate.py',
-        'test_film.py', 'test_replay.py',
+        'test_film.py', 'test_replay.py', 'tracking/test_accuracy.py',
+        'tracking/test_consistency.py',
         # The whole repository.
         'test_docs.py', 'test_package.py', 'test_readme.py', 'test_style.py', 'test_types.py'),
 }
@@ -57,11 +58,12 @@ def pytest_collection_modifyitems(items):
         # By its fixture: whoever adds a file of such tests need not think of it.
         if 'browser' in item.fixturenames:
             item.add_marker(pytest.mark.browser)
-        # These wait for processes of theirs: of the node alone and of all other programs, one at a
-        # time each, which take about equally long.
+        # These wait for processes of theirs, one at a time each: of the node, of the page and of
+        # other programs.
         if item.get_closest_marker('ros') or item.get_closest_marker('browser'):
-            item.add_marker(pytest.mark.xdist_group(
-                'node' if item.path.is_relative_to(TEST / 'ros') else 'programs'))
+            item.add_marker(pytest.mark.xdist_group(next(
+                (one for one in ('ros', 'operator') if item.path.is_relative_to(TEST / one)),
+                'programs')))
 
 
 @pytest.fixture(scope='session')

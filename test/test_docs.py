@@ -43,6 +43,13 @@ def test_no_command_of_the_tutorials_is_unknown():
             assert line in ('make setup', '. .venv/bin/activate') or name in COMMANDS
 
 
+@pytest.mark.parametrize('page', ['README.md', *(
+    str(path.relative_to(ROOT)) for path in sorted((ROOT / 'docs').rglob('*.md')))])
+def test_what_was_measured_can_be_measured_again(page):
+    """Figures stand in tables that make targets fill in, or in docs/measured."""
+    assert not re.search(r'measured\s+(once|by\s+hand)', (ROOT / page).read_text(), re.IGNORECASE)
+
+
 @pytest.mark.parametrize('command', offline_commands())
 def test_commands_of_the_tutorials_run(command, tmp_path):
     words = command.split()

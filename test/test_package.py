@@ -24,6 +24,7 @@ from xml.etree import ElementTree
 
 import pytest
 import sph_stab_ros
+from sph_stab_ros import executable
 from sph_stab_ros.__main__ import COMMANDS
 from sph_stab_ros.stabilization.outputs import topics
 
@@ -137,10 +138,13 @@ def test_executables_are_importable(setup_arguments):
     for target in console_scripts(setup_arguments).values():
         module, function = target.split(':')
         assert callable(getattr(importlib.import_module(module), function))
+    for name, (module, _) in COMMANDS.items():
+        assert getattr(executable, name).args == (module,)
+        assert callable(importlib.import_module(f'{PACKAGE}.{module}').main)
 
 
 def test_all_executables_are_behind_one_name(setup_arguments):
-    commands = {name: f'{PACKAGE}.{module}:main' for name, (module, _) in COMMANDS.items()}
+    commands = {name: f'{PACKAGE}.executable:{name}' for name in COMMANDS}
     assert {**commands, 'sph-stab': f'{PACKAGE}.__main__:main'} == console_scripts(setup_arguments)
 
 
@@ -225,7 +229,8 @@ def find_colcon():
     return str(beside_python) if beside_python.exists() else shutil.which('colcon')
 
 
-@pytest.fixture(scope='module', params=['copied', 'symlinked'])
+@pytest.fixture(scope='module', params=[
+    'copied', pytest.param('symlinked', marks=pytest.mark.slow)])
 def workspace(request, tmp_path_factory):
     """Build a copy of the package with colcon and return the workspace."""
     colcon = find_colcon()

@@ -123,6 +123,7 @@ def test_compressed_images_go_out_as_they_were_recorded(turning_bag):
         ('bgr8; jpeg compressed bgr8', 'theta_camera')}
 
 
+@pytest.mark.slow
 def test_a_cube_by_its_metadata_goes_out_as_spheres(tmp_path):
     """The same as replay reads, as no message can say what they are."""
     videos = pytest.importorskip('tiny_videos')
@@ -201,6 +202,7 @@ def test_a_loop_goes_on_in_time_until_it_is_ended(turning_bag, ending):
     assert bytes(messages[12].data) == bytes(messages[0].data)
 
 
+@pytest.mark.slow
 def test_images_are_compressed_as_the_parameters_of_the_node_say(bag_with_truth, tmp_path):
     """Or by the shorthand, of the quality that they say."""
     (tmp_path / 'robot.yaml').write_text(
@@ -216,6 +218,7 @@ def test_images_are_compressed_as_the_parameters_of_the_node_say(bag_with_truth,
     assert sizes[1] < sizes[0] / 3
 
 
+@pytest.mark.slow
 def test_now_keeps_the_intervals_and_moves_them_to_the_present(turning_bag):
     """At another rate the intervals are scaled as the playing is."""
     before_ns = time.time_ns()
@@ -239,6 +242,7 @@ def test_a_video_is_played_with_the_present_time(turning_video, turning):
     assert before_ns < new_ns[0] and np.abs(np.diff(new_ns) - PERIOD_NS).max() < 2e4
 
 
+@pytest.mark.slow
 def test_two_tracks_are_played_as_one_picture(tmp_path):
     videos = pytest.importorskip('tiny_videos')
     images = [np.repeat(np.random.default_rng(track).integers(0, 256, (48, 64, 1), np.uint8), 3, 2)
@@ -293,6 +297,7 @@ def test_a_message_type_that_is_not_installed_is_named(tmp_path):
         message_type('nowhere_msgs/msg/Image')
 
 
+@pytest.mark.slow
 def test_a_recording_whose_clock_was_set_plays_on(tmp_path):
     """After a second, with a line; stamps stay, or are the present ones at their pace."""
     decades_ns = 53 * 365 * 86400 * 10**9
@@ -313,6 +318,7 @@ def test_a_recording_whose_clock_was_set_plays_on(tmp_path):
             assert heard_ns == stamps_ns.tolist()
 
 
+@pytest.mark.slow
 def test_video_of_a_package_that_is_not_installed_goes_out_decoded(tmp_path):
     """As raw images, or as JPEG if that is asked for; CompressedImages as they were recorded."""
     video = pytest.importorskip('encoded_video')

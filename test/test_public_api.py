@@ -48,7 +48,7 @@ def test_an_unknown_name_is_an_attribute_error():
 
 
 def test_importing_the_package_imports_nothing_else():
-    code = ('import sys, sph_stab_ros; '
+    code = ('import sys, sph_stab_ros.executable; '
             'print(*{"numpy", "scipy", "cv2", "rosbags"} & {*sys.modules}); '
             'from sph_stab_ros import StabilizerConfig; '
             'print(*{"cv2", "rosbags"} & {*sys.modules})')

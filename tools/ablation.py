@@ -5,6 +5,7 @@
 import argparse
 from dataclasses import replace
 from functools import partial, reduce
+import json
 from pathlib import Path
 
 import numpy as np
@@ -54,23 +55,28 @@ def errors(recording, options, frames):
 
 
 def main():
-    """Print a table of geodesic means and medians per frame, in degrees."""
+    """Print the figures of each variant, in degrees, and write them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('recordings', nargs='*', type=Path, metavar='RECORDING', default=[
         Path('bags') / name for name in ('drone', 'pioneer', 'handheld')])
     parser.add_argument('--max-frames', type=int, metavar='N')
+    parser.add_argument('--json', type=Path, metavar='FILE', help='write all figures')
     args = parser.parse_args()
     recordings = [open_recording(path) for path in args.recordings]
-    print('| | ' + ' | '.join(recording.name for recording in recordings) + ' |')
-    print('| --- ' * (1 + len(recordings)) + '|')
-    for name, changes in VARIANTS.items():
+    found = {}
+    for variant, changes in VARIANTS.items():
         options = reduce(lambda known, change: changed(known, *change), changes.items(),
                          AnchoredOptions())
-        cells = []
+        found[variant] = {}
         for recording in recordings:
-            found = errors(recording, options, args.max_frames)
-            cells.append(f'{found.geodesic_deg.mean():.2f}, {np.median(found.per_frame_deg):.3f}°')
-        print(f'| {name} | ' + ' | '.join(cells) + ' |', flush=True)
+            one = errors(recording, options, args.max_frames)
+            found[variant][recording.name] = {
+                'geodesic_mean_deg': float(one.geodesic_deg.mean()),
+                'per_frame_median_deg': float(np.median(one.per_frame_deg))}
+            print(f'{variant}, {recording.name}: {one.geodesic_deg.mean():.3f}, '
+                  f'{np.median(one.per_frame_deg):.3f}°', flush=True)
+    if args.json:
+        args.json.write_text(json.dumps(found, indent=2) + '\n')
 
 
 if __name__ == '__main__':

@@ -227,6 +227,7 @@ def main():
     parser.add_argument('--add-to', metavar='FILE', type=Path,
                         help=f"add all figures to those in a JSON file, as '{KEY}', or "
                              f"'{KEY}_link' with --link")
+    parser.add_argument('--key', metavar='NAME', help=f"add them as '{KEY}_NAME' instead")
     args = parser.parse_args()
     chromium = shutil.which(os.environ.get('CHROMIUM') or 'chromium')
     if not chromium:
@@ -244,7 +245,8 @@ def main():
           f"load before {result['machine']['load_before']:.1f}")
     if args.add_to:
         others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
-        key = f'{KEY}_link' if args.link else KEY
+        name = args.key or ('link' if args.link else '')
+        key = f'{KEY}_{name}' if name else KEY
         args.add_to.write_text(json.dumps({**others, key: result}, indent=2) + '\n')
 
 

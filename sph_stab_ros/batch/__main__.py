@@ -8,6 +8,11 @@
 
 """Stabilise many recordings, here or on a cluster; after any end the same call goes on."""
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('batch.__main__'))
+
 from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import closing
@@ -185,7 +190,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args, settings = arguments(argv)
     return run('batch', lambda: batch(args, settings))
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -14,12 +14,16 @@ are resized to each width. All calls take turns, so that what disturbs the machi
 alike: ratios within a run say more than milliseconds.
 """
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('benchmark.__main__'))
+
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 import json
 from pathlib import Path
-import sys
 from typing import TypeAlias, TypeVar
 
 from sph_stab_ros.benchmark.calls import benchmark_width, BUDGET_S
@@ -236,7 +240,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     args = arguments(argv)
     return run('benchmark', lambda: benchmark(args))
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -211,10 +211,10 @@ def command(args: Namespace) -> bool:
     except ExternalShutdownException:
         raise KeyboardInterrupt from None
     report = summary(seen, statuses)
+    lines = failures(report)
     if args.json:
         with partial_output(args.json, force=True) as path:
-            path.write_text(json.dumps(report, indent=2) + '\n')
-    lines = failures(report)
+            path.write_text(json.dumps({**report, 'failed': lines}, indent=2) + '\n')
     for line in lines:
         print(f'soak: {line}', file=sys.stderr)
     memory = (f"{report['memory_mb']:.0f} MB {report['memory_growth_mb']:+.1f} MB"

@@ -179,7 +179,8 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
     parser.add_argument('--view', action='store_true',
                         help='subscribe to the view of 960x540 too, as JPEG')
     parser.add_argument('--add-to', metavar='FILE', type=Path,
-                        help=f"add all figures to those in a JSON file, as '{KEY}'")
+                        help=f"add all figures to those in a JSON file, as '{KEY}', or "
+                             f"'{KEY}_view' with --view")
     args = parser.parse_args(argv)
     if not (args.rate > 0 and args.width > 0 and args.width % 4 == 0):
         parser.error('--rate is positive, --width a multiple of four')
@@ -200,8 +201,9 @@ def benchmark(args: Namespace) -> None:
         f'{who} {percent:.0f}' for who, percent in result.get('cpu_percent', {}).items()))
     if args.add_to:
         others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
+        key = f'{KEY}_view' if args.view else KEY
         with partial_output(args.add_to, force=True) as path:
-            path.write_text(json.dumps({**others, KEY: result}, indent=2) + '\n')
+            path.write_text(json.dumps({**others, key: result}, indent=2) + '\n')
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -8,10 +8,16 @@
 
 """Operations on rotations, where SciPy and NumPy are too slow for every frame."""
 
+from collections.abc import Iterable
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Covariance, Matrix, Vectors
+
+# Of the length of a unit quaternion, the same as tf2's.
+QUATERNION_TOLERANCE = 0.01
 
 try:
     Rotation.from_matrix(np.eye(3), assume_valid=True)
@@ -28,6 +34,11 @@ def rotation_from_matrix(R: Matrix) -> Rotation:
     SciPy 1.17 takes 0.15 ms to make sure of that, and 0.02 ms without; a frame has two.
     """
     return Rotation.from_matrix(R, **_VALID)
+
+
+def is_unit_quaternion(quaternion: Iterable[float]) -> bool:
+    """Tell whether four numbers are a unit quaternion within QUATERNION_TOLERANCE; NaN is none."""
+    return abs(math.hypot(*quaternion) - 1) <= QUATERNION_TOLERANCE
 
 
 def cross(a: Vectors, b: Vectors) -> Vectors:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from sph_stab_ros.geometry.arrays import Choice
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.rotations import is_unit_quaternion
 
 logger = logging.getLogger(__name__)
 
@@ -92,7 +93,7 @@ def read_tum(path: str | Path) -> Trajectory:
     Return the Trajectory of a TUM file; ValueError with the line's number where it is not one.
 
     A recording with repeated or backward stamps gives such lines too; what is not later than all
-    lines before is left out, with a warning.
+    lines before is left out, and quaternions are normalised, either with a warning.
     """
     stamps_ns: list[int] = []
     quaternions: list[list[float]] = []
@@ -127,4 +128,8 @@ def read_tum(path: str | Path) -> Trajectory:
     if left_out:
         logger.warning('%s: %d lines are not later than those before and are left out',
                        path, left_out)
+    normalised = sum(not is_unit_quaternion(one) for one in quaternions)
+    if normalised:
+        logger.warning('%s: %d lines with a quaternion not of unit length, normalised',
+                       path, normalised)
     return Trajectory(stamps_ns, Rotation.from_quat(quaternions))

@@ -18,15 +18,15 @@ From the page: JSON texts, each one of the commands below; whatever else is a Pr
 
 from dataclasses import asdict, dataclass, fields
 import json
-from math import isfinite, sqrt
+from math import hypot
 from struct import pack
 from typing import Any, TypeAlias
 
+from sph_stab_ros.geometry.rotations import is_unit_quaternion
 from sph_stab_ros.operator.pairing import Picture, UnitQuaternion
 
 # All commands are shorter by far.
 MAX_MESSAGE_BYTES = 1024
-QUATERNION_TOLERANCE = 0.01
 # Of a link.
 MAX_FIGURE = 1e6
 
@@ -96,10 +96,9 @@ class Look:
         if not (isinstance(self.direction, list) and len(self.direction) == 4
                 and all(type(part) in (int, float) and abs(part) <= 2 for part in self.direction)):
             raise ProtocolError('direction is not four numbers')
-        norm = sqrt(sum(part * part for part in self.direction))
-        # Written so that NaN fails too.
-        if not (isfinite(norm) and abs(norm - 1) <= QUATERNION_TOLERANCE):
+        if not is_unit_quaternion(self.direction):
             raise ProtocolError('direction is not a unit quaternion')
+        norm = hypot(*self.direction)
         object.__setattr__(self, 'direction', tuple(part / norm for part in self.direction))
 
 

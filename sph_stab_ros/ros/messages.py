@@ -17,11 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.rotations import is_unit_quaternion
 from sph_stab_ros.images.codec import fill_message
 from sph_stab_ros.stabilization.steering import Rates
-
-# The same as tf2's.
-QUATERNION_TOLERANCE = 0.01
 
 
 @cache
@@ -46,8 +44,7 @@ def make(type_name: str, **fields: Any) -> Any:
 def rotation_from_message(msg: Any) -> Rotation:
     """Return the Rotation of a QuaternionStamped; ValueError where it is not a unit one."""
     quaternion = msg.quaternion.x, msg.quaternion.y, msg.quaternion.z, msg.quaternion.w
-    # Written so that NaN fails too.
-    if not abs(np.linalg.norm(quaternion) - 1) <= QUATERNION_TOLERANCE:
+    if not is_unit_quaternion(quaternion):
         raise ValueError('({:g}, {:g}, {:g}, {:g}) is not a unit quaternion'.format(*quaternion))
     return Rotation.from_quat(quaternion)
 

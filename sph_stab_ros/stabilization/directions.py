@@ -16,6 +16,7 @@ are the same, and keeps the horizon level. Before the first and behind the last 
 """
 
 from collections.abc import Sequence
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,14 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import ConfigError
 from sph_stab_ros.config.ros_yaml import read_yaml
 from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
+from sph_stab_ros.geometry.rotations import is_unit_quaternion
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.messages import QUATERNION
 from sph_stab_ros.stabilization.steering import view_angles
+
+logger = logging.getLogger(__name__)
 
 # More are none: 30 years, and a thousand turns.
 MAX_TIME_S, MAX_YAW_DEG = 1e9, 360e3
@@ -69,13 +73,18 @@ def recorded_directions(recording: Recording, topic: str) -> list[list[float]]:
     if recording.topics.get(topic) != QUATERNION:
         raise RecordingError(f'{recording.name} has no topic {topic} of {QUATERNION}')
     rows: dict[float, tuple[float, float]] = {}
+    left_out = 0
     for received_ns, msg in recording.messages(topic):
         q = msg.quaternion
-        values = np.array((q.x, q.y, q.z, q.w), float)
-        # A direction that is none is left out.
-        if np.isfinite(values).all() and np.linalg.norm(values) > 0:
-            time_s = (stamp_ns(msg.header.stamp) or received_ns) / NS_PER_S
-            rows[time_s] = view_angles(Rotation.from_quat(values))[:2]
+        values = q.x, q.y, q.z, q.w
+        # As the node would have.
+        if not is_unit_quaternion(values):
+            left_out += 1
+            continue
+        time_s = (stamp_ns(msg.header.stamp) or received_ns) / NS_PER_S
+        rows[time_s] = view_angles(Rotation.from_quat(values))[:2]
+    if left_out:
+        logger.warning('%s: %d messages without a unit quaternion, left out', topic, left_out)
     if not rows:
         raise RecordingError(f'{recording.name} has no directions in {topic}')
     times_s = sorted(rows)

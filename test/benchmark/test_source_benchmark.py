@@ -47,7 +47,7 @@ def test_a_short_run(turning_bag, tmp_path, monkeypatch):
                  '--add-to', str(path)]) == 0
     outcome = json.loads(path.read_text())
     assert outcome['other'] == 1
-    result = outcome['source']
+    result = outcome['source_view']
     assert 0 < result['orientations'] <= 20 and 0 < result['views'] <= 20
     # Earlier than it was taken no picture can be seen.
     assert result['orientations_latency_ms']['p50'] > 0 and result['views_latency_ms']['p50'] > 0

@@ -167,6 +167,7 @@ def test_what_is_not_seen_is_black_and_the_rest_is_not(name, R):
         assert mask.sum() > 0.95 * upright.sum()
 
 
+@pytest.mark.thorough
 @EACH
 def test_the_stabilizer_takes_the_rotation_out_and_uses_only_what_is_seen(name):
     truth = [Rotation.identity()]

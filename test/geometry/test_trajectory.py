@@ -108,6 +108,14 @@ def test_lines_that_are_not_later_are_left_out(tmp_path, caplog):
     assert '2 lines' in caplog.text
 
 
+def test_quaternions_that_are_not_of_unit_length_are_normalised_and_told(tmp_path, caplog):
+    path = tmp_path / 'a.tum'
+    path.write_text('1 0 0 0 0 0 0 1.009\n2 0 0 0 3 0 0 4\n3 0 0 0 0.6 0 0 0.8\n')
+    found = read_tum(path).rotations
+    assert angles_rad(found[1], found[2]) < 1e-8
+    assert '1 lines with a quaternion not of unit length' in caplog.text
+
+
 @pytest.mark.parametrize('line', ['1 0 0 0 0 0 1', '1 0 0 0 0 0 0 x', 'x 0 0 0 0 0 0 1', '1 2 3'])
 def test_what_is_not_tum_is_named_with_its_line(tmp_path, line):
     """The error says where."""

@@ -198,6 +198,7 @@ def test_the_world_stands_while_the_robot_turns(served, wearer):
             np.testing.assert_allclose(angles, 0, atol=1)
 
 
+@pytest.mark.slow
 def test_the_horizon_is_level_and_what_is_seen_is_published(served, wearer, look):
     """Also where the stabilizer's view leans, as it may when it follows."""
     R_world_virtual = view_rotation(*np.deg2rad((20, 5, 15)))
@@ -209,6 +210,7 @@ def test_the_horizon_is_level_and_what_is_seen_is_published(served, wearer, look
     wait_until(lambda: (R_world_virtual * look() * seen.inv()).magnitude() < 0.01)
 
 
+@pytest.mark.slow
 def test_who_only_watches_publishes_nothing(served, wearer, look, browser):
     other = Page(browser, served.url)
     try:
@@ -228,6 +230,7 @@ def test_who_only_watches_publishes_nothing(served, wearer, look, browser):
         other.context.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('button', ['a-button', 'squeeze'])
 def test_a_button_puts_ahead_before_the_head(wearer, button):
     wearer.turn(30)
@@ -237,6 +240,7 @@ def test_a_button_puts_ahead_before_the_head(wearer, button):
         np.testing.assert_allclose(angles, 0, atol=1)
 
 
+@pytest.mark.slow
 def test_the_stick_turns_in_steps(wearer):
     wearer.push(1)
     wearer.page.evaluate(SHOWN)
@@ -247,6 +251,7 @@ def test_the_stick_turns_in_steps(wearer):
     assert wearer.disc_deg()[0][0] == pytest.approx(0, abs=1)
 
 
+@pytest.mark.slow
 def test_smooth_turns_are_behind_a_vignette(wearer, look):
     wearer.press('thumbstick')
     wearer.press('thumbstick', 0)
@@ -260,6 +265,7 @@ def test_smooth_turns_are_behind_a_vignette(wearer, look):
     assert yaw_deg(look()) == pytest.approx(stays_deg, abs=0.1)
 
 
+@pytest.mark.slow
 def test_lost_tracking_is_seen_within_the_eyes(served, wearer):
     assert not wearer.sees_alarm()
     served.state = State(tracking='lost', healthy=False)
@@ -270,12 +276,14 @@ def test_lost_tracking_is_seen_within_the_eyes(served, wearer):
     wait_until(lambda: not wearer.sees_alarm())
 
 
+@pytest.mark.slow
 def test_a_broken_connection_is_seen_within_the_eyes(wearer):
     wearer.context.set_offline(True)
     wearer.page.evaluate('WebSocket.prototype.send = function () { this.close(); }')
     wait_until(wearer.sees_alarm)
 
 
+@pytest.mark.slow
 def test_the_session_ends_cleanly(served, wearer):
     """By the page, by the headset; the page goes on where the head has looked, and once more."""
     for leave in (lambda: wearer.page.keyboard.press('h'),
@@ -294,6 +302,7 @@ def test_the_session_ends_cleanly(served, wearer):
         wearer.enter()
 
 
+@pytest.mark.slow
 def test_a_card_that_fails_in_the_headset_leaves_the_page(wearer):
     wearer.page.evaluate(
         """() => { WebGL2RenderingContext.prototype.texImage2D = () => {
@@ -305,6 +314,7 @@ def test_a_card_that_fails_in_the_headset_leaves_the_page(wearer):
     assert not wearer.is_worn()
 
 
+@pytest.mark.slow
 def test_a_headset_that_refuses_leaves_the_page(served, wearer):
     wearer.page.keyboard.press('h')
     wait_until(lambda: not wearer.is_worn())
@@ -317,6 +327,7 @@ def test_a_headset_that_refuses_leaves_the_page(served, wearer):
     assert wearer.page.get_attribute('#headset', 'aria-pressed') == 'false'
 
 
+@pytest.mark.slow
 def test_lenses_may_be_off_their_middle(wearer):
     """As a headset's are: what is straight ahead is where the projection has it."""
     x, y = wearer.page.evaluate("""async () => {

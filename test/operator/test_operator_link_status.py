@@ -48,6 +48,7 @@ def test_nobody_watches():
     assert link_status([]) == ('nobody watches', {'browsers': '0'})
 
 
+@pytest.mark.slow
 def test_the_figures_come_over_the_middleware():
     domain = next(DOMAINS)
     context = Context()

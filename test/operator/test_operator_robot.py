@@ -90,7 +90,8 @@ def robot(tmp_path_factory):
         yield peer, domain
 
 
-@pytest.mark.parametrize('pictures', ['camera', 'stabilizer'])
+@pytest.mark.parametrize('pictures', [
+    pytest.param('camera', marks=pytest.mark.slow), 'stabilizer'])
 def test_pictures_and_orientations_belong_together(robot, pictures):
     peer, domain = robot
     spheres, _ = turning_spheres(60)
@@ -180,6 +181,7 @@ async def answer_to(url, command):
                 is_sent = True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('query', ['', '?video=h264'], ids=['files', 'video'])
 def test_a_camera_of_video_is_seen(tmp_path, query):
     """As files, and by who takes video as what the camera sends, in the end."""

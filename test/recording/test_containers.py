@@ -274,7 +274,8 @@ def test_an_encrypted_bag_is_refused_by_name(bag_bytes, tmp_path):
     (gzip.compress(b'notes', mtime=0), 'compressed, but not a bag'),
     (b'version https://git-lfs.github.com/spec/v1\n', 'Git LFS'), (b'<!DOCTYPE html>', 'web page'),
     (b'Salted__' + bytes(range(99)), 'encrypted'), (bytes(5000), 'nothing but zeros'),
-    (b'rosbag2_bagfile_information:\n', 'give its folder')])
+    (b'rosbag2_bagfile_information:\n', 'give its folder'),
+    (b'RIFF\x60\0\0\0WEBPVP8X\n\0\0\0\2' + bytes(99), 'animated WebP')])
 def test_what_is_no_recording_is_named(name, content, what, tmp_path):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RecordingError, match=what) as error:

@@ -93,6 +93,11 @@ def test_pictures_by_themselves_are_videos(tmp_path, turning):
         frame, = open_recording(tmp_path / name).frames()
         assert np.abs(frame.image.astype(int) - turning[0][0]).mean() < 6, name
         assert replay([str(tmp_path / name), '--trajectory', str(tmp_path / f'{name}.tum')]) == 0
+    # Another WebP with flags.
+    assert cv2.imwrite(str(tmp_path / 'clear.webp'), np.dstack(
+        (turning[0][0], np.full_like(turning[0][0][..., 0], 200))), [cv2.IMWRITE_WEBP_QUALITY, 80])
+    assert b'VP8X' in (tmp_path / 'clear.webp').read_bytes()[:16]
+    assert len(list(open_recording(tmp_path / 'clear.webp').frames())) == 1
     for name, pix_fmt in (('gif', 'rgb8'), ('apng', 'rgb24')):
         path = videos.encode(tmp_path / f'b.{name}', [
             videos.bgr_frame(image).reformat(format=pix_fmt) for image in turning[0]], codec=name)

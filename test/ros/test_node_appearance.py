@@ -55,6 +55,7 @@ def test_pictures_that_are_refused_are_told_of_too(tmp_path, circles):
                         '-p fisheye.stretched:=true', values['message'])
 
 
+@pytest.mark.slow
 def test_spheres_are_not_warned_of(tmp_path):
     sphere = np.uint8(40 + 0.6 * textured_sphere(640))
     with stabilizer(tmp_path, *QUICK, topics=('orientation', '/diagnostics')) as peer:
@@ -64,6 +65,7 @@ def test_spheres_are_not_warned_of(tmp_path):
         assert 'look like' not in peer.output()
 
 
+@pytest.mark.slow
 def test_the_player_tells_of_them_too(tmp_path, circles):
     bag = write_bag(tmp_path / 'bag', [circles] * 5)
     played = subprocess.run(

@@ -79,19 +79,21 @@ def test_one_direction_is_one_at_all_times(tmp_path):
     np.testing.assert_allclose(seen_deg(path, (0, 5, 50)), [(30, 0, 0)] * 3, atol=1e-9)
 
 
-def test_directions_in_a_bag_are_of_the_time_of_their_stamps(tmp_path):
+def test_directions_in_a_bag_are_of_the_time_of_their_stamps(tmp_path, caplog):
     """They go the shortest way; what is no direction is left out."""
     with BagWriter(tmp_path / 'bag') as bag:
         bag.write_jpeg('/image/compressed', START_NS, 'camera', textured_sphere())
         for time_s, yaw_deg in ((1, 170), (2, -170), (4, -100)):
             bag.write_orientation('view/direction', START_NS + time_s * NS_PER_S, 'virtual',
                                   view_rotation(np.deg2rad(yaw_deg), 0.1))
-        broken = bag.make('geometry_msgs/msg/Quaternion', x=0., y=0., z=0., w=0.)
-        bag.write('view/direction', bag.make(
-            'geometry_msgs/msg/QuaternionStamped', quaternion=broken,
-            header=bag.header(START_NS + 3 * NS_PER_S, 'virtual')), START_NS)
+        for w in (0., 5., np.nan):
+            broken = bag.make('geometry_msgs/msg/Quaternion', x=0., y=0., z=0., w=w)
+            bag.write('view/direction', bag.make(
+                'geometry_msgs/msg/QuaternionStamped', quaternion=broken,
+                header=bag.header(START_NS + 3 * NS_PER_S, 'virtual')), START_NS)
     recording = open_recording(tmp_path / 'bag')
     path = recorded_directions(recording, 'view/direction')
+    assert '3 messages without a unit quaternion, left out' in caplog.text
     yaw, pitch, _ = seen_deg(path, (0, 1, 1.5, 2, 4, 9), by_clock=True).T
     np.testing.assert_allclose(yaw[[0, 1, 3, 4, 5]], (170, 170, 190, 260, 260), atol=1e-4)
     assert 170 < yaw[2] < 190

@@ -14,7 +14,7 @@ from painted_room import errors_deg, flight, PERIOD_NS, room, tracked, WIDTH
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sph_stab_ros.tracking.anchored.body_mask import BodyMask, BodyMaskOptions, VisibleWorld
+from sph_stab_ros.tracking.anchored.body_mask import BodyMaskOptions, VisibleWorld
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.map_initialization import InitializationOptions
 from sph_stab_ros.tracking.anchored.map_options import MapOptions
@@ -268,10 +268,10 @@ def test_who_walks_along_from_the_first_frame_on_does_not_win(contrast, px_per_f
 
 
 def test_without_a_turn_nothing_is_said_to_stand_still():
-    still = BodyMask(BodyMaskOptions())
+    visible = VisibleWorld(None, BodyMaskOptions())
     for _ in range(5):
-        still.update(room(Rotation.identity()), Rotation.identity())
-    assert not still.mask.any()
+        visible.update(room(Rotation.identity()), Rotation.identity())
+    assert not visible.body.mask.any()
 
 
 def test_a_keyframe_that_fails_is_given_up(monkeypatch):

@@ -81,6 +81,8 @@ REFUSED = {
     b'LUKS\xba\xbe': 'encrypted: decrypt it first',
     bytes(512): 'nothing but zeros at its start: it was never written to the disk',
 }
+# Of the flags of an extended WebP.
+WEBP_ANIMATED = 2
 FIRST_BYTES = 2**12
 # Nothing comes out of bzip2 before a whole block of up to 900 kB has gone in.
 COMPRESSED_BLOCK_BYTES = 2**20
@@ -122,6 +124,8 @@ def refusal(head: bytes) -> str | None:
         return 'empty'
     if head[257:262] == b'ustar':
         return 'a tar archive: unpack it first'
+    if head[8:16] == b'WEBPVP8X' and head[20:21] and head[20] & WEBP_ANIMATED:
+        return 'an animated WebP, which FFmpeg does not read: make it a GIF or a video first'
     return next((what for magic, what in REFUSED.items() if head.startswith(magic)), None)
 
 

@@ -61,27 +61,25 @@ class BodyMask:
 
     def __init__(self, options: BodyMaskOptions) -> None:
         self._options = options
-        self._small: Plane | None = None
+        self._blurred: Plane | None = None
         self._happened = np.zeros((options.width // 2, options.width), np.float32)
         self._evidence = np.zeros_like(self._happened)
         self.mask = np.zeros(self._happened.shape, bool)
 
-    def update(self, grey: Grey, R_current_previous: Rotation | None) -> None:
-        """Take in the next grey sphere (H, W); without a rotation it is the first one."""
+    def update(self, small: Grey, R_current_previous: Rotation | None) -> None:
+        """Take in the next grey sphere, of its own size; without a rotation it is the first."""
         options = self._options
-        small = cv2.resize(
-            grey, (options.width, options.width // 2), interpolation=cv2.INTER_AREA)
-        small = cv2.GaussianBlur(
+        blurred = cv2.GaussianBlur(
             pad_sphere(small.astype(np.float32), MARGIN_PX), (0, 0), options.blur_px)
-        previous, self._small = self._small, small
+        previous, self._blurred = self._blurred, blurred
         if previous is None or R_current_previous is None:
             return
         omega = R_current_previous.as_rotvec().astype(np.float32)
         if not options.min_step_rad < np.linalg.norm(omega) < options.max_step_rad:
             return
         inside = slice(MARGIN_PX, -MARGIN_PX)
-        expected = change_by_rotation((small + previous) / 2, MARGIN_PX, -omega)
-        change = (small - previous)[inside, inside]
+        expected = change_by_rotation((blurred + previous) / 2, MARGIN_PX, -omega)
+        change = (blurred - previous)[inside, inside]
         happened, evidence = (cv2.blur(expected * seen, (3, 3)) for seen in (change, expected))
         share = np.minimum(1, options.max_evidence / np.maximum(evidence, 1e-6))
         self._happened = options.memory * self._happened + share * happened
@@ -108,8 +106,8 @@ class VisibleWorld:
 
     def update(self, grey: Grey, R_current_previous: Rotation | None) -> None:
         """Take in the next grey sphere (H, W); without a rotation it is the first one."""
-        self.body.update(grey, R_current_previous)
         small = cv2.resize(grey, self.body.mask.shape[::-1], interpolation=cv2.INTER_AREA)
+        self.body.update(small, R_current_previous)
         self._brightest = np.maximum(self._brightest, small)
         side_px, patch_px = self._options.min_black_px, self._options.patch_px
         black = pad_sphere((self._brightest <= self._options.black_grey).astype(np.uint8), side_px)

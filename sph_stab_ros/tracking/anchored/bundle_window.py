@@ -79,6 +79,13 @@ def pose_and_point_equations(window: Window, R: Matrix, p: Vectors, rho: Values,
     return accumulate(window, R, p, rho, w, lenses)
 
 
+def eliminated(H_rp: Floats, H_rr: Values) -> Floats:
+    """Return ``H_rpᵀ diag(H_rr)⁻¹ H_rp``, what points take from the keyframes' equations."""
+    # A product with itself takes half of the time.
+    by_point = H_rp / np.sqrt(H_rr)[:, None]
+    return by_point.T @ by_point
+
+
 def _accumulate_compiled(window: Window, R: Matrix, p: Vectors, rho: Values, w: Values,
                          lenses: bool) -> NormalEquations:
     of_poses, points = 6 * int(window.free.sum()), len(window.x)

@@ -196,7 +196,7 @@ class LandmarkMap:
             # What was adjusted before was adjusted to other bearings.
             first, self._adjusted_apart = 1, self.lenses.apart
         seen_lately = np.concatenate([one.observations.number for one in self.keyframes[first:]])
-        numbers = np.intersect1d(seen_lately, self._landmarks.number)
+        numbers = self._landmarks.number[np.isin(self._landmarks.number, seen_lately)]
         if not len(numbers):
             return
         window = self._window(first, numbers)

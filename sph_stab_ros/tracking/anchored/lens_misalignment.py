@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Bearings, Covariance, Matrix, Vector
 from sph_stab_ros.tracking.anchored.bundle_adjustment import Adjusted
-from sph_stab_ros.tracking.anchored.bundle_window import pose_and_point_equations, Window
+from sph_stab_ros.tracking.anchored.bundle_window import (
+    eliminated, pose_and_point_equations, Window)
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,7 @@ def lens_equations(window: Window, adjusted: Adjusted) -> tuple[Matrix, Vector]:
         window, adjusted.R, adjusted.p, adjusted.inverse_depths,
         adjusted.weights / adjusted.scale ** 2, lenses=True)
     damping = 1e-9 + 1e-6 * np.diag(H)[:-3]
-    root = np.sqrt(window.information + H_rr)
-    by_point = H_rp / root[:, None]
-    H, g = H - by_point.T @ by_point, g - by_point.T @ (g_r / root)
+    H_rr = H_rr + window.information
+    H, g = H - eliminated(H_rp, H_rr), g - H_rp.T @ (g_r / H_rr)
     by_pose = np.linalg.solve(H[:-3, :-3] + np.diag(damping), H[:-3, -3:])
     return H[-3:, -3:] - by_pose.T @ H[:-3, -3:], g[-3:] - by_pose.T @ g[:-3]

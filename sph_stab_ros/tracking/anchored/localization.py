@@ -150,8 +150,7 @@ def localize(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid, R_world
             pose = poses[np.argmin(costs)]
         pose = fit_depths(points, pose, options.pose)
         agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
-        if agreeing.sum() < options.min_points or options.min_agreement > agreement(
-                voters.y, agreeing[mature], options.hypotheses):
+        if not is_supported(points.y, agreeing, options, options.min_agreement, mature):
             return None
         off_rad = (pose.R_camera_world * R_world_camera).magnitude()
         R_world_camera, guess = pose.R_camera_world.inv(), pose.position
@@ -159,6 +158,19 @@ def localize(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid, R_world
             break
         coarsely = True
     return Localization(found, points, pose, agreeing)
+
+
+def is_supported(y: Bearings, agreeing: Choice, options: LocalizationOptions,
+                 min_agreement: float, voters: Choice | None = None) -> bool:
+    """
+    Tell whether enough of what is seen along y (N, 3) agrees with a pose: ``agreeing`` (N,) bool.
+
+    ``min_points`` of them, and ``min_agreement`` of the places where there are any, or any of the
+    voters (N,) bool.
+    """
+    counted = slice(None) if voters is None else voters
+    return bool(agreeing.sum() >= options.min_points) and not (
+        min_agreement > agreement(y[counted], agreeing[counted], options.hypotheses))
 
 
 def match_landmarks(landmark_map: LandmarkMap, rows: Indices, pyramid: Pyramid,

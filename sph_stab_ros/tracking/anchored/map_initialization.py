@@ -26,11 +26,10 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.localization import (
-    Localization, LocalizationOptions, look_along, Usable)
+    is_supported, Localization, LocalizationOptions, look_along, Usable)
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import Points, PoseEstimate
-from sph_stab_ros.tracking.anchored.pose_hypotheses import (
-    agreement, fit_poses_among_movers, Guess, places)
+from sph_stab_ros.tracking.anchored.pose_hypotheses import fit_poses_among_movers, Guess, places
 from sph_stab_ros.tracking.motion_model import MotionOptions
 
 
@@ -107,8 +106,7 @@ class MapInitializer:
                 points, guesses, sigma, self._rng, options.hypotheses)
             pose = poses[np.argmin(costs)]
             agreeing = options.pose.loss.inliers(pose.sizes, pose.scale)
-            if agreeing.sum() < options.min_points or self._options.min_agreement > agreement(
-                    points.y, agreeing, options.hypotheses):
+            if not is_supported(points.y, agreeing, options, self._options.min_agreement):
                 return None
             R_camera_last = pose.R_camera_world * R_world_key * self._rivals[0][0].inv()
             if (pose.R_camera_world * R_world_camera).magnitude() < options.good_prediction_rad:

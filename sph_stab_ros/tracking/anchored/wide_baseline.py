@@ -16,10 +16,10 @@ from sph_stab_ros.geometry.arrays import Grey, Mask
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
 from sph_stab_ros.tracking.anchored.localization import (
-    Localization, LocalizationOptions, look_along, Usable)
+    is_supported, Localization, LocalizationOptions, look_along, Usable)
 from sph_stab_ros.tracking.anchored.patches import Pyramid
 from sph_stab_ros.tracking.anchored.pose_estimation import fit_depths
-from sph_stab_ros.tracking.anchored.pose_hypotheses import agreement, fit_poses_among_movers
+from sph_stab_ros.tracking.anchored.pose_hypotheses import fit_poses_among_movers
 from sph_stab_ros.tracking.anchored.relocalization import turn_with_less_parallax
 from sph_stab_ros.tracking.frame_to_frame.estimators.essential import (
     epipolar_distance, fit_essential, INLIER_RAD)
@@ -80,7 +80,6 @@ def locate_widely(landmark_map: LandmarkMap, grey: Grey, pyramid: Pyramid, used:
         scale)
     pose = fit_depths(points, poses[np.argmin(costs)], localization.pose)
     agreeing = localization.pose.loss.inliers(pose.sizes, pose.scale)
-    if agreeing.sum() < localization.min_points or localization.min_agreement > agreement(
-            points.y, agreeing, localization.hypotheses):
+    if not is_supported(points.y, agreeing, localization, localization.min_agreement):
         return None
     return Localization(found, points, pose, agreeing)
