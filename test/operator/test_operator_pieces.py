@@ -19,6 +19,8 @@ from sph_stab_ros.operator.pieces import group_pieces, HEADER, PIECE_BYTES, piec
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from bare_page import bare_page  # noqa: E402, I100
 
+pytestmark = pytest.mark.browser
+
 # Of one piece, of some, of two groups and of three that are not full.
 PER_GROUP = 20
 LENGTHS = [1, PIECE_BYTES, PIECE_BYTES + 1, 3 * PIECE_BYTES - 7,
