@@ -134,7 +134,7 @@ test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported N
 benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; half an hour
 	mkdir -p results/benchmark
 	$(PY) -m sph_stab_ros.benchmark --json results/benchmark/benchmark.json
-	$(PAGE_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md
+	$(PAGE_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md docs/cameras.md
 
 ROS_JSON := results/benchmark-ros/benchmark_ros.json
 LATENCY := $(PY) tools/operator_latency.py --add-to $(ROS_JSON)
@@ -148,7 +148,7 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware, an
 	@if command -v chromium > /dev/null; then \
 	  $(LATENCY) && $(LATENCY) --video jpeg --key jpeg && \
 	  $(LATENCY) --rate 6 --frames 80 --video jpeg --key slow && \
-	  $(LATENCY) --rate 6 --frames 80 --pictures stabilizer --key slow_stabilizer && \
+	  $(LATENCY) --rate 6 --frames 80 --video jpeg --pictures stabilizer --key slow_derotated && \
 	  if [ "$$(id -u)" = 0 ]; then \
 	    $(LATENCY) $(LOSSY) && $(LATENCY) $(LOSSY) --video jpeg --key link_jpeg && \
 	    $(LATENCY) --link 6 0.04 0 --key link_whole; \

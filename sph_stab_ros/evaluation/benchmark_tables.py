@@ -20,7 +20,7 @@ def targets(results: Sequence[Result]) -> Iterator[Row]:
     """Yield the rows of a table of what is aimed at, and of what a long run costs."""
     result, = results
     yield 'columns in, what comes out', 'aim', 'measured', ''
-    for one in result['targets']:
+    for one in result.get('targets', ()):
         yield (one['what'], one['target'], one['measured'], 'met' if one['met'] else '*missed*')
     growth = result.get('growth')
     if growth:
@@ -40,6 +40,14 @@ def references(results: Sequence[Result]) -> Iterator[Row]:
             yield (result['recording'], name.split(',')[0],
                    f'{one["frames"]} of {one["frames"] + one["lost_frames"]}',
                    f'{error["mean"]:.2f}, {error["max"]:.2f}°', f'{one["ms_per_frame"] / 1e3:.3f}')
+
+
+def projections(results: Sequence[Result]) -> Iterator[Row]:
+    """Yield the rows of a table of what reading each projection takes."""
+    result, = results
+    yield 'CPU in ms', 'sphere', 'view', 'grey'
+    for name, one in result['projections'].items():
+        yield (f'`{name}`', *(f'{one[what]["cpu_ms"]:.0f}' for what in ('sphere', 'view', 'grey')))
 
 
 def node(results: Sequence[Result]) -> Iterator[Row]:
@@ -137,9 +145,8 @@ def stated(results: Sequence[Result]) -> Iterator[Row]:
 
 
 def _pictures(one: Mapping[str, Any]) -> str:
-    if one['pictures'] == 'stabilizer':
-        return "the node's derotated picture"
-    return {'h264': 'H.264', 'jpeg': 'JPEG'}[one['video']]
+    how = {'h264': 'H.264', 'jpeg': 'JPEG'}[one['video']]
+    return how + (', derotated by the node' if one['pictures'] == 'stabilizer' else '')
 
 
 def _link(link: Sequence[float] | None) -> str:
@@ -158,5 +165,6 @@ def _bytes(count: float) -> str:
 
 
 TABLES: dict[str, Table] = {
-    'targets': targets, 'references': references, 'node': node, 'source': source, 'page': page,
-    'soak': soak, 'hour': hour, 'workers': workers, 'split': split, 'stated': stated}
+    'targets': targets, 'projections': projections, 'references': references, 'node': node,
+    'source': source, 'page': page, 'soak': soak, 'hour': hour, 'workers': workers,
+    'split': split, 'stated': stated}

@@ -17,8 +17,8 @@ A page marks a table's place, what it tells and of which results::
     <!-- end -->
 
 ``FOLDER/drone.json`` is what ``evaluate --json`` wrote, or a benchmark, or ``coverage json``.
-Tables whose results are not there stay as they are. Times differ from run to run and have tables
-of their own.
+Tables whose results are not there, or tell nothing of it, stay as they are. Times differ from run
+to run and have tables of their own.
 """
 
 from collections.abc import Iterable, Sequence
@@ -47,13 +47,13 @@ def filled(page: str, folder: Path) -> str:
         if not all(file.exists() for file in files):
             return match.group()
         results = [json.loads(file.read_text()) for file in files]
-        return start + markdown(TABLES[kind](results)) + end
+        head, *body = TABLES[kind](results)
+        return start + markdown(head, body) + end if body else match.group()
     return BLOCK.sub(block, page)
 
 
-def markdown(rows: Iterable[Row]) -> str:
-    """Return a Markdown table of rows of cells, the first one its head."""
-    head, *body = rows
+def markdown(head: Row, body: Iterable[Row]) -> str:
+    """Return a Markdown table of rows of cells."""
     lines = [head, ['---'] * len(head), *body]
     return '\n' + ''.join(f'| {" | ".join(cells)} |\n' for cells in lines) + '\n'
 

@@ -48,7 +48,7 @@ _TYPES: dict[str, Any] = {
     'i': ctypes.c_int, 'x': ctypes.c_float, 'y': ctypes.c_double,
 }
 # As in kernels.c.
-MAX_CELL = 8
+MAX_CELL, MAX_CHANNELS = 8, 4
 # As the functions there take them.
 _ARGUMENTS = {
     'equirect_pixels': 'ifffiFF',

@@ -19,8 +19,8 @@
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-#ifdef __SSE2__
-#include <emmintrin.h>
+#ifdef __x86_64__
+#include <immintrin.h>
 #endif
 
 #define PI 3.14159265358979323846
@@ -37,8 +37,10 @@
 #if defined(__GNUC__)
 // Not only a wish: what is called must become part of each clone.
 #define INLINE static inline __attribute__((always_inline))
+#define FETCH(address) __builtin_prefetch(address)
 #else
 #define INLINE static inline
+#define FETCH(address)
 #endif
 
 // Within 1e-7, by a polynomial that compilers make vectors of (Abramowitz and Stegun 4.4.49).
@@ -76,95 +78,195 @@ void equirect_pixels(int n, const float *x, const float *y, const float *z, int 
 #define TILE_ROWS 48
 #define MAX_CELL 8
 #define TILE_WIDTH (TILE_CELLS * MAX_CELL)
-// Weights of neighbouring pixels add up to this; sums of two rows fit into 16 bits then.
-#define WHOLE_BITS 7
-#define WHOLE (1 << WHOLE_BITS)
-#define HALF (1 << (2 * WHOLE_BITS - 1))
+// How many rows of cells ahead the picture is fetched.
+#define CELLS_AHEAD 2
 
-// Values at a row's pixels within n cells, from those at the nodes above and below.
-INLINE void between_nodes(int n, int cell, const float *above, const float *below, float down,
-                          const float *along, float *values) {
+// Values at a row's pixels within n cells, from those at the nodes above and below. Of each cell
+// MAX_CELL are written, a whole vector: the next cell's go over what is too much.
+INLINE void between_nodes(int n, int cell, const float *restrict above,
+                          const float *restrict below, float down, const float *restrict along,
+                          float *restrict values) {
   float nodes[TILE_CELLS + 1];
   for (int c = 0; c <= n; c++) nodes[c] = above[c] + down * (below[c] - above[c]);
-  for (int c = 0; c < n; c++)
-    for (int j = 0; j < cell; j++)
-      values[c * cell + j] = nodes[c] + along[j] * (nodes[c + 1] - nodes[c]);
+  for (int c = 0; c < n; c++, values += cell) {
+    const float first = nodes[c], step = nodes[c + 1] - first;
+    for (int j = 0; j < MAX_CELL; j++) values[j] = first + along[j] * step;
+  }
 }
 
 // Steps of a pixel, as cv2.remap has them: by less, a map that is interpolated is not exact, and a
-// picture that is not turned stays as it is.
+// picture that is not turned stays as it is. Weights of neighbouring pixels add up to this.
 #define STEPS 32
+#define VALUE_BITS 10
+#define HALF (1 << (VALUE_BITS - 1))
 
-// Up to TILE_WIDTH pixels to read: the one left above, and how much of WHOLE falls to those right
-// of it and below it.
-struct reads {
-  int left[TILE_WIDTH], top[TILE_WIDTH], at[TILE_WIDTH], right_and_left[TILE_WIDTH];
-  int16_t right[TILE_WIDTH], below[TILE_WIDTH];
-  // Whether some lie beyond the seam, or too near to read more than there is of a row.
-  int at_seam;
+// What to read for a pixel: the one left above, and how many STEPS fall to those right and below.
+struct place {
+  int left, top, right, below;
 };
 
-INLINE void plan(int n, const float *u, const float *v, int height, int width, int channels,
-                 struct reads *reads) {
+INLINE struct place place_of(float u, float v, int height, int width) {
+  const int across = (int)((fminf(fmaxf(u, -1), width - 0.5f) + 1) * STEPS + 0.5f);
+  const int down = (int)(fminf(fmaxf(v, 0), height - 1) * STEPS + 0.5f);
+  const int top = down / STEPS < height - 2 ? down / STEPS : height - 2;
+  return (struct place){across / STEPS - 1, top, across % STEPS, down - top * STEPS};
+}
+
+// Whether a pixel lies beyond the seam, or too near to read more than there is of a row.
+INLINE int is_at_seam(int left, int width) { return (left < 0) | (left > width - 3); }
+
+#define MAX_CHANNELS 4
+// Of a tile, and a vector's end behind it.
+#define ROW_BYTES (MAX_CHANNELS * TILE_WIDTH + 4)
+// So many are read at a time, at most: behind the last place there are as many that can be read.
+#define AT_A_TIME 8
+
+// Up to TILE_WIDTH places, by how far they are from the image's first byte.
+struct reads {
+  int at[TILE_WIDTH], right[TILE_WIDTH], below[TILE_WIDTH];
+};
+
+// Returns whether some are at the seam; what stands for those may be read, but means nothing.
+INLINE int plan(int n, const float *u, const float *v, int height, int width, int channels,
+                struct reads *reads) {
   int at_seam = 0;
   for (int k = 0; k < n; k++) {
-    const float column = fminf(fmaxf(u[k], -1), width - 0.5f);
-    const float line = fminf(fmaxf(v[k], 0), height - 1);
-    const int left = (int)(column + 1) - 1, top = (int)fminf(line, height - 2);
-    const int right = (int)((column - left) * STEPS + 0.5f) * (WHOLE / STEPS);
-    at_seam |= (left < 0) | (left > width - 3);
-    reads->left[k] = left;
-    reads->top[k] = top;
-    reads->at[k] = (top * width + left) * channels;
-    reads->right[k] = right;
-    reads->right_and_left[k] = right << 16 | (WHOLE - right);
-    reads->below[k] = (int)((line - top) * STEPS + 0.5f) * (WHOLE / STEPS);
+    const struct place place = place_of(u[k], v[k], height, width);
+    const int seam = is_at_seam(place.left, width);
+    at_seam |= seam;
+    reads->at[k] = (place.top * width + (seam ? 0 : place.left)) * channels;
+    reads->right[k] = place.right;
+    reads->below[k] = place.below;
   }
-  reads->at_seam = at_seam;
+  for (int k = n; k % AT_A_TIME; k++) reads->at[k] = reads->right[k] = reads->below[k] = 0;
+  return at_seam;
 }
 
-// Read pixels from first to n bilinearly; the sphere goes on beyond the seam.
-INLINE void read_planned(int first, int n, const struct reads *reads, const uint8_t *image,
-                         int width, int channels, uint8_t *out) {
-  for (int k = first; k < n; k++) {
-    const int left = reads->left[k], right = reads->right[k], down = reads->below[k];
-    const uint8_t *above = image + (int64_t)reads->top[k] * width * channels;
-    const uint8_t *below = above + width * channels;
-    const int a = (left < 0 ? width - 1 : left) * channels;
-    const int b = (left > width - 2 ? 0 : left + 1) * channels;
-    for (int c = 0; c < channels; c++)
-      out[k * channels + c] =
-          ((above[a + c] * (WHOLE - right) + above[b + c] * right) * (WHOLE - down)
-           + (below[a + c] * (WHOLE - right) + below[b + c] * right) * down + HALF)
-          >> 2 * WHOLE_BITS;
-  }
+INLINE int between_pixels(int left_above, int right_above, int left_below, int right_below,
+                          int right, int below) {
+  const int upper = left_above * STEPS + right * (right_above - left_above);
+  const int lower = left_below * STEPS + right * (right_below - left_below);
+  return (upper * STEPS + below * (lower - upper) + HALF) >> VALUE_BITS;
 }
 
-// The same of three channels and not at the seam, but for the last one: 8 bytes are read of each
-// row at a time, and 4 written. Returns how many were read.
-INLINE int read_colours(int n, const struct reads *reads, const uint8_t *image, int width,
-                        uint8_t *out) {
-#ifdef __SSE2__
-  const __m128i zero = _mm_setzero_si128(), half = _mm_set1_epi32(HALF);
-  for (int k = 0; k < n - 1; k++) {
-    const uint8_t *pixel = image + reads->at[k];
-    const __m128i above = _mm_unpacklo_epi8(_mm_loadl_epi64((const __m128i *)pixel), zero);
-    const __m128i below = _mm_unpacklo_epi8(
-        _mm_loadl_epi64((const __m128i *)(pixel + 3 * width)), zero);
-    const __m128i rows = _mm_add_epi16(
-        _mm_slli_epi16(above, WHOLE_BITS),
-        _mm_mullo_epi16(_mm_sub_epi16(below, above), _mm_set1_epi16(reads->below[k])));
-    const __m128i sums = _mm_madd_epi16(_mm_unpacklo_epi16(rows, _mm_srli_si128(rows, 6)),
-                                        _mm_set1_epi32(reads->right_and_left[k]));
-    const __m128i values = _mm_packs_epi32(
-        _mm_srli_epi32(_mm_add_epi32(sums, half), 2 * WHOLE_BITS), zero);
-    const int packed = _mm_cvtsi128_si32(_mm_packus_epi16(values, zero));
-    memcpy(out + 3 * k, &packed, 4);
+// Read a pixel bilinearly; the sphere goes on beyond the seam.
+INLINE void read_place(struct place place, const uint8_t *image, int width, int channels,
+                       uint8_t *out) {
+  const uint8_t *above = image + (int64_t)place.top * width * channels;
+  const uint8_t *below = above + width * channels;
+  const int left = (place.left < 0 ? width - 1 : place.left) * channels;
+  const int right = (place.left > width - 2 ? 0 : place.left + 1) * channels;
+  for (int c = 0; c < channels; c++)
+    out[c] = between_pixels(above[left + c], above[right + c], below[left + c], below[right + c],
+                            place.right, place.below);
+}
+
+// The same of n places not at the seam. Two loops, because compilers make vectors of the second one
+// only; what is copied beyond a pixel the next one goes over.
+INLINE void read_places(int n, int channels, const struct reads *reads, const uint8_t *image,
+                        int width, uint8_t *out) {
+  uint8_t corners[4][ROW_BYTES], right[ROW_BYTES], below[ROW_BYTES];
+  const int copied = channels == 3 ? 4 : channels;
+  for (int k = 0, i = 0; k < n; k++, i += channels) {
+    const uint8_t *above = image + reads->at[k], *under = above + width * channels;
+    memcpy(corners[0] + i, above, copied);
+    memcpy(corners[1] + i, above + channels, copied);
+    memcpy(corners[2] + i, under, copied);
+    memcpy(corners[3] + i, under + channels, copied);
+    memset(right + i, reads->right[k], copied);
+    memset(below + i, reads->below[k], copied);
   }
-  return n - 1;
-#else
-  return 0;
+  for (int i = 0; i < n * channels; i++)
+    out[i] = between_pixels(corners[0][i], corners[1][i], corners[2][i], corners[3][i], right[i],
+                            below[i]);
+}
+
+#ifdef __x86_64__
+INLINE int64_t eight_bytes(const uint8_t *from) {
+  int64_t bytes;
+  memcpy(&bytes, from, 8);
+  return bytes;
+}
+
+// Two pixels as numbers, blue, green, red and none, of 8 bytes of the row above and of that below;
+// weights of the rows are bytes, those of columns words.
+__attribute__((target("avx2")))
+INLINE __m256i two_pixels(const uint8_t *one, const uint8_t *other, int row, __m256i down,
+                          __m256i across) {
+  // Above and below, then left and right, stand beside each other.
+  const __m256i pairs = _mm256_broadcastsi128_si256(
+      _mm_setr_epi8(0, 8, 3, 11, 1, 9, 4, 12, 2, 10, 5, 13, -1, -1, -1, -1));
+  const __m256i bytes = _mm256_set_epi64x(eight_bytes(other + row), eight_bytes(other),
+                                          eight_bytes(one + row), eight_bytes(one));
+  const __m256i rows = _mm256_maddubs_epi16(_mm256_shuffle_epi8(bytes, pairs), down);
+  return _mm256_srli_epi32(
+      _mm256_add_epi32(_mm256_madd_epi16(rows, across), _mm256_set1_epi32(HALF)), VALUE_BITS);
+}
+
+// read_places of three channels, AT_A_TIME; up to four bytes more than those are written.
+__attribute__((target("avx2")))
+static void read_colours(int n, const struct reads *reads, const uint8_t *image, int width,
+                         uint8_t *out) {
+  const __m256i dense = _mm256_broadcastsi128_si256(
+      _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1));
+  const __m256i whole = _mm256_set1_epi32(STEPS);
+  for (int k = 0; k < n; k += AT_A_TIME) {
+    const int *at = reads->at + k;
+    const __m256i right = _mm256_loadu_si256((const __m256i *)(reads->right + k));
+    const __m256i below = _mm256_loadu_si256((const __m256i *)(reads->below + k));
+    const __m256i across = _mm256_or_si256(_mm256_sub_epi32(whole, right),
+                                           _mm256_slli_epi32(right, 16));
+    const __m256i once = _mm256_or_si256(_mm256_sub_epi32(whole, below),
+                                         _mm256_slli_epi32(below, 8));
+    const __m256i down = _mm256_or_si256(once, _mm256_slli_epi32(once, 16));
+    // Pixels j and j + 4: what follows goes by halves.
+#define PIXELS_AT(j) \
+    two_pixels(image + at[j], image + at[j + 4], 3 * width, \
+               _mm256_shuffle_epi32(down, j * 0x55), _mm256_shuffle_epi32(across, j * 0x55))
+    const __m256i values = _mm256_shuffle_epi8(
+        _mm256_packus_epi16(_mm256_packs_epi32(PIXELS_AT(0), PIXELS_AT(1)),
+                            _mm256_packs_epi32(PIXELS_AT(2), PIXELS_AT(3))), dense);
+#undef PIXELS_AT
+    _mm_storeu_si128((__m128i *)(out + 3 * k), _mm256_castsi256_si128(values));
+    _mm_storeu_si128((__m128i *)(out + 3 * k + 12), _mm256_extracti128_si256(values, 1));
+  }
+}
 #endif
+
+// Read a row of n pixels, at most of a tile's.
+INLINE void read_row(int n, const float *u, const float *v, const uint8_t *image, int height,
+                     int width, int channels, uint8_t *out) {
+  struct reads reads;
+  const int at_seam = plan(n, u, v, height, width, channels, &reads);
+#ifdef __x86_64__
+  if (channels == 3 && __builtin_cpu_supports("avx2")) {
+    uint8_t values[ROW_BYTES];
+    read_colours(n, &reads, image, width, values);
+    memcpy(out, values, 3 * n);
+  } else
+#endif
+  // Quicker where the compiler knows how many there are.
+  if (channels == 3)
+    read_places(n, 3, &reads, image, width, out);
+  else if (channels == 1)
+    read_places(n, 1, &reads, image, width, out);
+  else
+    read_places(n, channels, &reads, image, width, out);
+  for (int k = 0; at_seam && k < n; k++) {
+    const struct place place = place_of(u[k], v[k], height, width);
+    if (is_at_seam(place.left, width))
+      read_place(place, image, width, channels, out + k * channels);
+  }
+}
+
+// Fetch what n cells are read from: the picture turns, and no processor foresees the next row.
+INLINE void fetch(int n, const float *u, const float *v, float down, int below,
+                  const uint8_t *image, int width, int channels) {
+  for (int c = 0; c <= n; c++) {
+    const int column = u[c] + down * (u[c + below] - u[c]);
+    const int line = v[c] + down * (v[c + below] - v[c]);
+    FETCH(image + ((int64_t)line * width + column) * channels);
+  }
 }
 
 // InverseWarp's target (target_height, target_width, channels) of cells (rows, columns), read from
@@ -177,7 +279,7 @@ void warp_equirect(int columns, int cell, const float *u, const float *v, const 
                    uint8_t *target) {
   const float *bearings[3] = {x, y, z};
   float along[MAX_CELL];
-  for (int j = 0; j < cell; j++) along[j] = (j + 0.5f) / cell;
+  for (int j = 0; j < MAX_CELL; j++) along[j] = (j + 0.5f) / cell;
   for (int tile = 0; tile < target_height; tile += TILE_ROWS)
     for (int first = 0; first < columns; first += TILE_CELLS) {
       const int cells = columns - first < TILE_CELLS ? columns - first : TILE_CELLS;
@@ -187,15 +289,12 @@ void warp_equirect(int columns, int cell, const float *u, const float *v, const 
       for (int row = tile; row < end; row++) {
         const int above = row / cell * (columns + 1) + first, below = above + columns + 1;
         const float down = along[row % cell];
-        float u_px[TILE_WIDTH], v_px[TILE_WIDTH];
-        // Quicker where the compiler knows how large cells are; mostly they are of this size.
-        if (cell == 6) {
-          between_nodes(cells, 6, u + above, u + below, down, along, u_px);
-          between_nodes(cells, 6, v + above, v + below, down, along, v_px);
-        } else {
-          between_nodes(cells, cell, u + above, u + below, down, along, u_px);
-          between_nodes(cells, cell, v + above, v + below, down, along, v_px);
-        }
+        const int ahead = above + CELLS_AHEAD * (columns + 1);
+        if (row + CELLS_AHEAD * cell < target_height)
+          fetch(cells, u + ahead, v + ahead, down, columns + 1, image, width, channels);
+        float u_px[TILE_WIDTH + MAX_CELL], v_px[TILE_WIDTH + MAX_CELL];
+        between_nodes(cells, cell, u + above, u + below, down, along, u_px);
+        between_nodes(cells, cell, v + above, v + below, down, along, v_px);
         for (int c = 0; c < cells; c++) {
           if (!uneven[row / cell * columns + first + c]) continue;
           float b[3][MAX_CELL];
@@ -204,13 +303,8 @@ void warp_equirect(int columns, int cell, const float *u, const float *v, const 
                           b[k]);
           pixels_of(cell, b[0], b[1], b[2], width, u_px + c * cell, v_px + c * cell);
         }
-
-        struct reads reads;
-        uint8_t *out = target + ((int64_t)row * target_width + first * cell) * channels;
-        plan(pixels, u_px, v_px, height, width, channels, &reads);
-        const int done = channels == 3 && !reads.at_seam
-                             ? read_colours(pixels, &reads, image, width, out) : 0;
-        read_planned(done, pixels, &reads, image, width, channels, out);
+        read_row(pixels, u_px, v_px, image, height, width, channels,
+                 target + ((int64_t)row * target_width + first * cell) * channels);
       }
     }
 }

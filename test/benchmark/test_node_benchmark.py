@@ -21,6 +21,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import DOMAINS  # noqa: E402, I100
 from sph_stab_ros.benchmark.node import figures, Heard, main, percentiles  # noqa: E402
 from sph_stab_ros.benchmark.node_scenario import MemoryRecording, Scenario  # noqa: E402
+from sph_stab_ros.evaluation.page_tables import filled  # noqa: E402
 
 PROFILE = Path(__file__).resolve().parents[2] / 'config' / 'fastdds_large_images.xml'
 KEYS = {'orientations', 'images', 'latency_ms', 'cpu_percent', 'drops'}
@@ -98,6 +99,7 @@ def test_a_short_run_with_and_without_profile(turning_bag, tmp_path, monkeypatch
         assert all(math.isfinite(percent) and percent > 0
                    for percent in one['cpu_percent'].values())
     assert 'raw, defaults' in capsys.readouterr().out
+    assert '| raw, defaults |' in filled('<!-- node figures -->\n<!-- end -->', tmp_path)
 
 
 @pytest.mark.parametrize('arguments', (

@@ -21,6 +21,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed')
 
 from node_harness import DOMAINS  # noqa: E402, I100
 from sph_stab_ros.benchmark.soak import CHANGES, failures, fitted_line, main  # noqa: E402
+from sph_stab_ros.evaluation.page_tables import filled  # noqa: E402
 
 GOOD = {'failures': [], 'longest_gap_s': 1.1, 'beats_without_frames': 0, 'memory_mb': 100.,
         'memory_growth_mb': 0.5, 'exit_status': {'node': 0, 'player': 0}}
@@ -90,6 +91,7 @@ def test_a_few_seconds_pass(turning_bag, tmp_path, monkeypatch):
     assert report['seconds'] == 4 and report['frames'] > 0 and report['heartbeats'] > 2
     assert sum(report['received'].values()) > 0
     assert 'memory_mb' not in report
+    assert '| – | passed |' in filled('<!-- soak soak -->\n<!-- end -->', tmp_path)
 
 
 @pytest.mark.parametrize('arguments', (

@@ -18,6 +18,7 @@ av = pytest.importorskip('av')
 
 from node_harness import DOMAINS  # noqa: E402, I100
 from sph_stab_ros.benchmark.source import figures, main, sent_frames  # noqa: E402
+from sph_stab_ros.evaluation.page_tables import filled  # noqa: E402
 
 MS = 1_000_000
 
@@ -52,6 +53,8 @@ def test_a_short_run(turning_bag, tmp_path, monkeypatch):
     # Earlier than it was taken no picture can be seen.
     assert result['orientations_latency_ms']['p50'] > 0 and result['views_latency_ms']['p50'] > 0
     assert result['diagnostics']['source_stamps'] == 'sender'
+    assert '| 256×128 at 20 Hz, the view as JPEG |' in filled(
+        '<!-- source figures -->\n<!-- end -->', tmp_path)
 
 
 @pytest.mark.parametrize('arguments', (['--frames', '0'], ['--rate', 'nan'], ['--width', '642']))

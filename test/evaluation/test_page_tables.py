@@ -52,6 +52,8 @@ BENCHMARKS = {
     'stages': {
         'recording': 'drone', 'targets': [
             {'what': 'cost', 'target': '<= 10 ms', 'measured': '12.0 ms', 'met': False}],
+        'projections': {'cubemap': {'sphere': {'cpu_ms': 26.4}, 'view': {'cpu_ms': 4.},
+                                    'grey': {'cpu_ms': 5.}}},
         'growth': {'frames': 2000,
                    'first_tenth': {'median_ms': 6., 'memory_mb': 100., 'keyframes': 48},
                    'last_tenth': {'median_ms': 8., 'memory_mb': 108., 'keyframes': 48}},
@@ -108,10 +110,11 @@ def folder(tmp_path):
     ('source ros', '| 299/300 | 50, 95, 99 | 286/300 | 50, 95, 99 | 38, 28 % | 0.0 |'),
     ('page ros', '| JPEG | 30 Hz | none | 31.0 | 298 of 300 | 50, 95 | 9, 60 % |'),
     ('page ros', '| H.264 | 30 Hz | 6 Mbit/s, 40 ms, 1 % lost |'),
-    ('page ros', "| the node's derotated picture | 30 Hz | none | 31.0 | 298 of 300 | – |"),
+    ('page ros', '| JPEG, derotated by the node | 30 Hz | none | 31.0 | 298 of 300 | – |'),
     ('soak soak', '| 600 | 14439 | 606, 1.01 s | 143 MB, +7.0 MB | passed |'),
     ('targets stages', '| cost | <= 10 ms | 12.0 ms | *missed* |'),
     ('targets stages', '| no growth | 6.0, 8.0 ms; +8 MB at 48 keyframes |'),
+    ('projections stages', '| `cubemap` | 26 | 4 | 5 |'),
     ('references stages drone', '| drone | COLMAP | 99 of 100 | 0.14, 0.27° | 2.016 |'),
     ('hour batch', '| 1920 (H.264) | trajectory | 0.8 | 224 MB | 3.3 GB | 7 MB |'),
     ('workers batch', '| 1920, trajectory | 33.3 days | 3.3 days | 0.3 days | 1.1 GB, 2 MB |'),
@@ -134,6 +137,10 @@ def test_tables_are_filled_in_between_their_marks_only(folder, block, said):
 def test_without_results_a_table_stays_as_it_is(folder):
     page = '<!-- times drone nothing -->\nold\n<!-- end -->\n<!-- other remark -->\n'
     assert filled(page, folder) == page
+    # Results that are of other things.
+    for kind in ('page', 'source', 'references'):
+        page = f'<!-- {kind} soak -->\nold\n<!-- end -->\n'
+        assert filled(page, folder) == page
 
 
 def test_an_unknown_table_is_named(folder):

@@ -116,6 +116,17 @@ def test_shapes_and_types_are_kept(shape):
 
 
 @pytest.mark.parametrize('R', ROTATIONS)
+@pytest.mark.parametrize('channels', (2, 3, 4))
+@pytest.mark.parametrize('size_wh', ((322, 161), (61, 45)))
+def test_channels_are_read_as_if_each_were_alone(R, channels, size_wh):
+    """However many are read at a time, and up to both ends of each row."""
+    image = np.random.default_rng(3).integers(0, 256, (90, 180, channels), np.uint8)
+    warp = InverseWarp(lambda uv: bearings_from_pixels(uv, 322), size_wh)
+    alone = [warp(np.ascontiguousarray(image[..., one]), R) for one in range(channels)]
+    np.testing.assert_array_equal(warp(image, R), np.stack(alone, axis=-1))
+
+
+@pytest.mark.parametrize('R', ROTATIONS)
 def test_views_project_by_a_pinhole(R):
     width, height, hfov_rad = 90, 60, np.deg2rad(100)
     x, y = np.meshgrid(np.arange(width) - (width - 1) / 2, np.arange(height) - (height - 1) / 2)
