@@ -42,9 +42,11 @@ from sph_stab_ros.images.codec import (
     compressed_fields, fill_image, fill_message, ImageError, JPEG_QUALITY)
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.jpeg import jpeg_fields, JpegFile
-from sph_stab_ros.live.address import Address, address_of, SourceError
-from sph_stab_ros.live.source import LivePicture, LiveSource
+from sph_stab_ros.live.address import Address, SourceError
+from sph_stab_ros.live.joined import source_of
+from sph_stab_ros.live.source import LivePicture
 from sph_stab_ros.ros.diagnostics import ThrottledLog
+from sph_stab_ros.ros.source_input import source_address
 from sph_stab_ros.ros.starting import start_ros
 from sph_stab_ros.ros.topics import advertise, compressed_topic, is_wanted
 from sph_stab_ros.ros.worker import Worker
@@ -60,27 +62,27 @@ class Camera:
 
     Parameters
     ----------
-    node, address
-        Who publishes what.
+    node, address, rear
+        Who publishes what, and of which other lens if there is one.
     frame_id
         Of the pictures.
     quality
         Of the JPEG files that are made of what comes as none.
     join
-        How to put the pictures of two tracks together.
+        How to put the pictures of two tracks or lenses together.
 
     """
 
-    def __init__(self, node: Node, address: Address, frame_id: str, quality: int,
-                 join: str = NOT_JOINED) -> None:
+    def __init__(self, node: Node, address: Address, rear: Address | None, frame_id: str,
+                 quality: int, join: str = NOT_JOINED) -> None:
         self._frame_id, self._quality = frame_id, quality
         self._image = advertise(node, Image, 'image')
         self._compressed = advertise(node, CompressedImage, compressed_topic(node, 'image'))
         self._info = advertise(node, CameraInfo, 'camera_info')
         self._refusals = ThrottledLog(node.get_logger().warning)
         self._publishing = Worker('publishing', self._publish)
-        self.source = LiveSource(
-            address, self._publishing.put, node.get_logger(), self._refuse, join)
+        self.source = source_of(
+            address, rear, self._publishing.put, node.get_logger(), self._refuse, join)
 
     def start(self) -> None:
         """Start to read and publish."""
@@ -121,12 +123,14 @@ class Camera:
         self._refusals.warn(error.reason, f'image refused, {error}')
 
 
-def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address]:
-    """Return the parsed command line and the source; exit 2 on a usage error."""
+def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address, Address | None]:
+    """Return the parsed command line and the sources; exit 2 on a usage error."""
     parser = Parser(prog='camera', description=__doc__)
     parser.add_argument('source', metavar='SOURCE',
                         help='a device such as /dev/video0, an address such as rtsp://..., what '
                         "else FFmpeg reads, a file, or '-' for standard input")
+    parser.add_argument('--rear', metavar='SOURCE',
+                        help=NODE_PARAMETERS['source_rear'].description)
     parser.add_argument('--options', metavar='NAME=VALUE,...', default='',
                         help=NODE_PARAMETERS['source_options'].description)
     parser.add_argument('--frame', metavar='FRAME_ID',
@@ -139,7 +143,8 @@ def arguments(argv: Sequence[str] | None) -> tuple[Namespace, Address]:
                         help=NODE_PARAMETERS['join'].description)
     args = parser.parse_args(argv)
     try:
-        return args, address_of(args.source, args.options)
+        return (args, source_address(args.source, args.options),
+                source_address(args.rear, args.options) if args.rear else None)
     except SourceError as error:
         parser.error(str(error))
 
@@ -150,12 +155,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     started = start_ros('camera', argv, arguments)
     if started is None:
         return 2
-    args, address = started
+    args, address, rear = started
     node: Node | None = None
     camera: Camera | None = None
     try:
         node = rclpy.create_node('camera')
-        camera = Camera(node, address, args.frame, args.quality, args.join)
+        camera = Camera(node, address, rear, args.frame, args.quality, args.join)
         camera.start()
         executor = SingleThreadedExecutor()
         executor.add_node(node)

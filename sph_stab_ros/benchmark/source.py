@@ -7,12 +7,13 @@
 # language governing permissions and limitations under the License.
 
 """
-Measure the node with a source: from the picture in the sender to the orientation on its topic.
+Measure the node with a source: from the packet in the sender to the orientation on its topic.
 
-Pictures of a recording, enlarged, are encoded as H.264 and sent by RTSP at their rate, from a
-process of its own; the node reads them by its parameter ``source``. Latency is from when a picture
-was given to the encoder to the receipt of its orientation. Which picture that is tells the stamp,
-which is of the sender's clock (RTCP).
+Pictures of a recording, enlarged, are encoded as H.264 beforehand, as a camera's chip costs the
+robot nothing, and sent by RTSP at their rate, from a process of its own; the node reads them by
+its parameter ``source``. Latency is from when a picture's packet was given to the muxer to the
+receipt of its orientation. Which picture that is tells the stamp, which is of the sender's clock
+(RTCP).
 """
 
 from argparse import Namespace
@@ -25,8 +26,9 @@ import multiprocessing
 from pathlib import Path
 import socket
 import sys
+from tempfile import TemporaryDirectory
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray
@@ -46,20 +48,20 @@ from sph_stab_ros.live.capture_clock import SENDER
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 
+if TYPE_CHECKING:
+    import av
+
 KEY = 'source'
 PICTURES = 60
 WARM_UP_S, SPARE_S = 3., 1.
 VIEW_WH = 960, 540
 LISTEN_S = 9
+RTP_TICK_S = Fraction(1, 90_000)
 ENCODER = {'preset': 'ultrafast', 'tune': 'zerolatency', 'threads': '1'}
 
 
-def send(args: Namespace, url: str) -> tuple[int, list[int], float]:
-    """
-    Send the pictures once somebody listens.
-
-    Return when the muxer's time began, when each picture was taken, and CPU percent.
-    """
+def encode(args: Namespace, path: Path) -> None:
+    """Write the pictures as a film, there and back again."""
     import av
     width, height = args.width, args.width // 2
     pictures = [
@@ -68,31 +70,59 @@ def send(args: Namespace, url: str) -> tuple[int, list[int], float]:
             format='bgr24').reformat(format='yuv420p')
         for frame in islice(decoded_frames(open_recording(args.recording)), PICTURES)]
     rate = Fraction(args.rate).limit_denominator(1000)
-    end_s = time.monotonic() + STARTUP_S
-    while True:
-        try:
-            with av.open(url, 'w', format='rtsp', options={'rtsp_transport': 'tcp'}) as container:
-                stream: Any = container.add_stream('libx264', rate=rate, options=ENCODER)
-                stream.width, stream.height, stream.pix_fmt = width, height, 'yuv420p'
-                stream.codec_context.gop_size = round(args.rate)
-                stream.time_base = stream.codec_context.time_base = 1 / rate
-                # From here on the muxer counts its time.
-                container.start_encoding()
-                start_ns, used_s = time.time_ns(), time.process_time()
-                there_and_back = cycle(chain(pictures, pictures[-2:0:-1]))
-                taken_ns: list[int] = []
-                for index, picture in enumerate(islice(there_and_back, sent_frames(args))):
-                    picture.pts = index
-                    due_ns = start_ns + round(index / args.rate * NS_PER_S)
-                    time.sleep(max(due_ns - time.time_ns(), 0) / NS_PER_S)
-                    taken_ns.append(time.time_ns())
-                    container.mux(stream.encode(picture))
-                wall_s = (time.time_ns() - start_ns) / NS_PER_S
-                return start_ns, taken_ns, 100 * (time.process_time() - used_s) / wall_s
-        except av.ConnectionRefusedError:
-            if time.monotonic() > end_s:
-                raise
-            time.sleep(0.1)
+    with av.open(path, 'w', format='mp4') as container:
+        stream: Any = container.add_stream('libx264', rate=rate, options=ENCODER)
+        stream.width, stream.height, stream.pix_fmt = width, height, 'yuv420p'
+        stream.codec_context.gop_size = round(args.rate)
+        for picture in chain(pictures, pictures[-2:0:-1]):
+            picture.pts = None
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode())
+
+
+def send(args: Namespace, path: Path, url: str) -> tuple[list[int], float]:
+    """
+    Send the packets of a film, over and over, once somebody listens.
+
+    Return when each was given to the muxer, and CPU percent.
+    """
+    import av
+    with av.open(path) as film:
+        video = film.streams.video[0]
+        packets = [bytes(packet) for packet in film.demux(video) if packet.size]
+        end_s = time.monotonic() + STARTUP_S
+        while True:
+            try:
+                with av.open(url, 'w', format='rtsp',
+                             options={'rtsp_transport': 'tcp'}) as container:
+                    stream = container.add_stream_from_template(video)
+                    # From here on the muxer counts its time.
+                    container.start_encoding()
+                    return send_packets(args, packets, container, stream)
+            except av.ConnectionRefusedError:
+                if time.monotonic() > end_s:
+                    raise
+                time.sleep(0.1)
+
+
+def send_packets(
+        args: Namespace, packets: Sequence[bytes], container: 'av.container.OutputContainer',
+        stream: 'av.VideoStream') -> tuple[list[int], float]:
+    """Send packets at their rate, and return as ``send`` does."""
+    import av
+    start_ns, used_s = time.time_ns(), time.process_time()
+    taken_ns: list[int] = []
+    for index, data in enumerate(islice(cycle(packets), sent_frames(args))):
+        due_ns = start_ns + round(index / args.rate * NS_PER_S)
+        time.sleep(max(due_ns - time.time_ns(), 0) / NS_PER_S)
+        taken_ns.append(time.time_ns())
+        packet = av.Packet(data)
+        packet.stream, packet.time_base = stream, RTP_TICK_S
+        # Not when it was due: a sender that is held up is not what is measured.
+        packet.pts = packet.dts = round((taken_ns[-1] - start_ns) / NS_PER_S / RTP_TICK_S)
+        container.mux(packet)
+    wall_s = (time.time_ns() - start_ns) / NS_PER_S
+    return taken_ns, 100 * (time.process_time() - used_s) / wall_s
 
 
 def sent_frames(args: Namespace) -> int:
@@ -101,7 +131,16 @@ def sent_frames(args: Namespace) -> int:
 
 
 def measure(args: Namespace) -> Figures:
-    """Return what became of the pictures."""
+    """Encode the pictures, send them, and return what became of them."""
+    with (ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as pool,
+          TemporaryDirectory() as folder):
+        film = Path(folder) / 'film.mp4'
+        pool.submit(encode, args, film).result()
+        return measured(args, film, pool)
+
+
+def measured(args: Namespace, film: Path, pool: ProcessPoolExecutor) -> Figures:
+    """Return what became of the pictures of a film that a process of the pool sends."""
     with socket.create_server(('127.0.0.1', 0)) as one:
         url = f'rtsp://127.0.0.1:{one.getsockname()[1]}/sphere'
     # By the stamp when it was received.
@@ -117,8 +156,7 @@ def measure(args: Namespace) -> Figures:
             if status.name.startswith(f'/{NAMESPACE}/'):
                 said.update({pair.key: pair.value for pair in status.values})
 
-    pool = ProcessPoolExecutor(1, multiprocessing.get_context('spawn'))
-    with pool, ros_node('subscriber') as node, running(
+    with ros_node('subscriber') as node, running(
             'stabilizer', '--ros-args', '-r', f'__ns:=/{NAMESPACE}', '-p', f'source:={url}',
             '-p', f'source_options:=listen_timeout={LISTEN_S}',
             '-p', f'view.width:={VIEW_WH[0]}', '-p', f'view.height:={VIEW_WH[1]}') as process:
@@ -130,7 +168,7 @@ def measure(args: Namespace) -> Figures:
         node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
         while not said:
             rclpy.spin_once(node, timeout_sec=0.1)
-        sending = pool.submit(send, args, url)
+        sending = pool.submit(send, args, film, url)
         used_s: list[tuple[float, float]] = []
         while not sending.done():
             rclpy.spin_once(node, timeout_sec=0.1)
@@ -139,26 +177,26 @@ def measure(args: Namespace) -> Figures:
         end_s = time.monotonic() + SILENCE_S
         while time.monotonic() < end_s:
             rclpy.spin_once(node, timeout_sec=0.1)
-        start_ns, taken_ns, sender_percent = sending.result()
+        taken_ns, sender_percent = sending.result()
     if said.get('source_stamps') != SENDER:
         # From PyAV 17 on they are, unless one of them is two seconds behind.
         raise RecordingError("the stamps are not of the sender's clock: no picture is recognised")
-    result = figures(args, start_ns, taken_ns, orientations, views)
+    result = figures(args, taken_ns, orientations, views)
     if len(used_s) > 1:
         wall_s, node_s = np.subtract(used_s[-1], used_s[0])
         result['cpu_percent'] = {'node': 100 * node_s / wall_s, 'sender': sender_percent}
     return {**result, 'diagnostics': said}
 
 
-def figures(args: Namespace, start_ns: int, taken_ns: Sequence[int],
-            orientations: dict[int, int], views: dict[int, int]) -> Figures:
+def figures(args: Namespace, taken_ns: Sequence[int], orientations: dict[int, int],
+            views: dict[int, int]) -> Figures:
     """Return what became of those pictures that count, given when they were taken."""
     first = round(WARM_UP_S * args.rate)
     result: Figures = {'width': args.width, 'rate_hz': args.rate, 'frames': args.frames}
     for name, received_ns in ('orientations', orientations), ('views', views):
         latency_ms = {}
         for stamp, received in received_ns.items():
-            index = round((stamp - start_ns) * args.rate / NS_PER_S)
+            index = int(np.argmin(np.abs(np.subtract(taken_ns, stamp))))
             if first <= index < first + args.frames:
                 latency_ms[index] = (received - taken_ns[index]) / 1e6
         result[name] = len(latency_ms)

@@ -16,20 +16,20 @@ from sph_stab_ros.config.projection import (
     EQUIDISTANT, EQUIRECT, EQUISOLID, FISHEYE, FisheyeConfig, GOPRO_MAX, LENS_MODELS, LensConfig,
     MIN_WIDTH, PROJECTIONS, STRETCHED_EQUIRECT)
 from sph_stab_ros.config.schema import (
-    ANCHORED, AUTO, FIRST_FRAME, FLOWS, FOLLOW, HALF_SPHERE, IMAGE_TRANSPORTS, IMU, ImuConfig,
-    JOINS, LEFT_RIGHT, LEVELS, LOCK, METHODS, MODES, MONO, NODE_PARAMETERS, NodeConfig, NOT_JOINED,
-    PICTURE_LAYOUTS, RESERVED, SmoothingConfig, StabilizerConfig, TOP_BOTTOM, TrackerConfig,
-    VIEW, VIEW_NAME, view_parameters, ViewConfig, VR180, YAW_FOLLOW)
+    ANCHORED, AUTO, COLUMNS, FIRST_FRAME, FLOWS, FOLLOW, HALF_SPHERE, IMAGE_TRANSPORTS, IMU,
+    ImuConfig, JOINS, LEFT_RIGHT, LEVELS, LOCK, METHODS, MODES, MONO, NODE_PARAMETERS, NodeConfig,
+    NOT_JOINED, PICTURE_LAYOUTS, READ_IN, RESERVED, ROWS, SmoothingConfig, StabilizerConfig,
+    TOP_BOTTOM, TrackerConfig, VIEW, VIEW_NAME, view_parameters, ViewConfig, VR180, YAW_FOLLOW)
 from sph_stab_ros.config.settings import frame_in_tf, Settings, settings_of
 
 __all__ = [
-    'ANCHORED', 'AUTO', 'ConfigError', 'CropConfig', 'CROPPED_EQUIRECT', 'CUBEMAP',
-    'CubemapConfig', 'DUAL_FISHEYE', 'EQUI_ANGULAR_CUBEMAP', 'EQUIDISTANT', 'EQUIRECT',
+    'ANCHORED', 'AUTO', 'COLUMNS', 'ConfigError', 'CropConfig', 'CROPPED_EQUIRECT',
+    'CUBEMAP', 'CubemapConfig', 'DUAL_FISHEYE', 'EQUI_ANGULAR_CUBEMAP', 'EQUIDISTANT', 'EQUIRECT',
     'EncoderConfig', 'EQUISOLID', 'FIRST_FRAME', 'FISHEYE', 'FisheyeConfig', 'FLOWS', 'FOLLOW',
     'frame_in_tf', 'get_option', 'GOPRO_MAX', 'H264', 'HALF_SPHERE', 'IMAGE_TRANSPORTS', 'IMU',
     'ImuConfig', 'JOINS', 'LEFT_RIGHT', 'LENS_MODELS', 'LensConfig', 'LEVELS', 'LIVE_ENCODERS',
     'LOCK', 'METHODS', 'MIN_WIDTH', 'MODES', 'MONO', 'NODE_PARAMETERS', 'NodeConfig', 'NOT_JOINED',
-    'Option', 'options', 'PICTURE_LAYOUTS', 'PROJECTIONS', 'RESERVED', 'Settings', 'settings_of',
-    'SmoothingConfig', 'StabilizerConfig', 'STRETCHED_EQUIRECT', 'TOP_BOTTOM', 'TrackerConfig',
-    'VIEW', 'VIEW_NAME',
-    'view_parameters', 'ViewConfig', 'VR180', 'with_option', 'YAW_FOLLOW']
+    'Option', 'options', 'PICTURE_LAYOUTS', 'PROJECTIONS', 'READ_IN', 'RESERVED', 'ROWS',
+    'Settings', 'settings_of', 'SmoothingConfig', 'StabilizerConfig', 'STRETCHED_EQUIRECT',
+    'TOP_BOTTOM', 'TrackerConfig', 'VIEW', 'VIEW_NAME', 'view_parameters', 'ViewConfig', 'VR180',
+    'with_option', 'YAW_FOLLOW']

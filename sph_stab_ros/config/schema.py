@@ -23,6 +23,9 @@ FLOWS = ('farneback', 'dis')
 FIRST_FRAME = 'first_frame'
 IMU = 'imu'
 LEVELS = (FIRST_FRAME, IMU)
+ROWS = 'rows'
+COLUMNS = 'columns'
+READ_IN = (ROWS, COLUMNS)
 LOCK = 'lock'
 FOLLOW = 'follow'
 YAW_FOLLOW = 'yaw_follow'
@@ -67,9 +70,12 @@ class TrackerConfig(Checked):
     mask: str = option(
         '', "Pixels not to use: path of a 2:1 image (black) or 'lat:FROM,TO' in degrees")
     rolling_shutter_s: float = option(
-        0., 'For how long in seconds the rows of a picture are read, from the first to the last '
+        0., 'For how long in seconds a picture is read, from its first row or column to the last '
         '(rolling shutter), negative where the last one is the first; stamps are of the middle',
         minimum=-0.1, maximum=0.1)
+    rolling_shutter_by: str = option(
+        ROWS, 'What of a picture is read one after the other: its rows from above, or its columns '
+        'from the left where the sensor lies on its side', choices=READ_IN)
     max_prediction_s: float = option(
         0.5, 'For how long in seconds the last angular velocity is trusted without measurement',
         minimum=0., maximum=10.)
@@ -168,6 +174,9 @@ class NodeConfig(StabilizerConfig):
         '', 'Read the images of a camera or stream in place of a topic: /dev/video0, rtsp://..., '
         "rtmp://, http://, udp:// and what else FFmpeg reads, a file, or '-' for standard input",
         live=False)
+    source_rear: str = option(
+        '', "The source of the other lens' pictures, taken at the same times as those of source, "
+        'which join then puts together', live=False)
     source_options: str = option(
         '', "Options of FFmpeg for the source, NAME=VALUE,NAME=VALUE; for example a device's "
         'video_size=1920x960,framerate=30,input_format=mjpeg', live=False)
@@ -200,6 +209,8 @@ class NodeConfig(StabilizerConfig):
     def __post_init__(self) -> None:
         """Check each option's value, and that the views can be told apart."""
         super().__post_init__()
+        if self.source_rear and not self.source:
+            raise ConfigError('source_rear is of the other lens than source: name that, too')
         if not self.views or len(set(self.views)) < len(self.views):
             raise ConfigError('views are one or more different names')
         for name in self.views:

@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-Rolling shutter: a picture whose rows are read one after the other, while the camera turns.
+Rolling shutter: a picture that is read row by row, or column by column, while the camera turns.
 
 Bearings, orientations and stamps are those of the middle of the read-out. What then lies along a
 bearing is seen along another one, by as much of the camera's turn as its row is early or late.
@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from sph_stab_ros.config import (
+    COLUMNS, DUAL_FISHEYE, LEFT_RIGHT, NOT_JOINED, StabilizerConfig)
 from sph_stab_ros.geometry.arrays import Bearings, Grey, Mask, Plane, Raster, Vector
 from sph_stab_ros.geometry.equirect import bearing_grid, pixels_from_bearings
 from sph_stab_ros.geometry.projection import Picture, Projection
@@ -26,19 +28,33 @@ from sph_stab_ros.geometry.projection import Picture, Projection
 SHARES_WIDTH = 640
 
 
-def row_shares(projection: Projection, height: int) -> Plane:
+def readout_shares(projection: Projection, size_wh: tuple[int, int],
+                   config: StabilizerConfig = StabilizerConfig()) -> Plane:
     """
-    Return when directions are read from a picture ``height`` high: (320, 640), from -½ to ½.
+    Return when directions are read from a picture (width, height): (320, 640), from -½ to ½.
 
     The pixels of a sphere, in shares of the read-out before or after its middle.
     """
     x, y, z = cv2.split(bearing_grid(SHARES_WIDTH))
-    _, v, _ = projection.nodes(x, y, z)
-    return np.clip((v + np.float32(0.5)) / np.float32(height) - np.float32(0.5), -0.5, 0.5)
+    axis = 0 if config.tracker.rolling_shutter_by == COLUMNS else 1
+    at_px = projection.nodes(x, y, z)[axis]
+    lenses = lenses_along(size_wh, config)[axis]
+    share = (at_px + np.float32(0.5)) * np.float32(lenses / size_wh[axis])
+    # Two lenses have a sensor each, which are read at the same time.
+    return np.clip(share - np.clip(np.floor(share), 0, lenses - 1) - np.float32(0.5), -0.5, 0.5)
+
+
+def lenses_along(size_wh: tuple[int, int], config: StabilizerConfig) -> tuple[int, int]:
+    """Return how many lenses' pictures a picture (width, height) holds across, and down."""
+    if config.join != NOT_JOINED:
+        return (2, 1) if config.join == LEFT_RIGHT else (1, 2)
+    if config.projection == DUAL_FISHEYE:
+        return (2, 1) if size_wh[0] > size_wh[1] else (1, 2)
+    return 1, 1
 
 
 def shares_along(shares: Plane, bearings: Bearings) -> Plane:
-    """Return when bearings (..., 3) are read (...), by ``row_shares``."""
+    """Return when bearings (..., 3) are read (...), by ``readout_shares``."""
     u, v = np.moveaxis(np.rint(pixels_from_bearings(bearings, SHARES_WIDTH)).astype(int), -1, 0)
     return shares[np.clip(v, 0, SHARES_WIDTH // 2 - 1), u % SHARES_WIDTH]
 
@@ -57,7 +73,8 @@ class RollingShutter:
     """
     A Projection read row by row, while the camera turns by the rotation vector ``turn`` (3,).
 
-    In the camera's own frame, from the first row to the last; ``shares`` are its ``row_shares``.
+    In the camera's own frame, from the first row to the last; ``shares`` are its
+    ``readout_shares``.
     """
 
     projection: Projection

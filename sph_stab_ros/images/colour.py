@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from sph_stab_ros import kernels
 from sph_stab_ros.geometry.arrays import Floats, Raster
 
 # Code points of matrices, primaries and transfer characteristics.
@@ -136,6 +137,11 @@ def resized(plane: Raster, size_wh: tuple[int, int]) -> Raster:
     height, width = plane.shape
     if (width, height) == size_wh:
         return plane
+    is_half = size_wh == (2 * width, 2 * height)
+    if is_half and plane.dtype == np.uint8 and kernels.library is not None:
+        finer = np.empty(size_wh[::-1], np.uint8)
+        kernels.library.doubled(height, width, plane, finer)
+        return finer
     linear = size_wh[0] >= MIN_LINEAR * width and size_wh[1] >= MIN_LINEAR * height
     return cv2.resize(plane, size_wh, interpolation=cv2.INTER_LINEAR if linear else cv2.INTER_AREA)
 

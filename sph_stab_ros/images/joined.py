@@ -71,6 +71,11 @@ class Pairing(Generic[Item]):
         self._left_out = 0
 
     @property
+    def waiting(self) -> int:
+        """Return how many of that sequence wait of which the more do."""
+        return max(map(len, self._waiting))
+
+    @property
     def left_out(self) -> int:
         """Return how many have none of the other sequence with them, those that wait included."""
         return self._left_out + sum(map(len, self._waiting))

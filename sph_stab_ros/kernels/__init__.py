@@ -7,7 +7,7 @@
 # language governing permissions and limitations under the License.
 
 """
-The inner loops of the anchored tracker and the warp, built where there is a C compiler.
+The inner loops of the tracker, the warp and videos' colours, built where there is a C compiler.
 
 The Python functions that call them have the same in NumPy, for elsewhere. Called by ctypes: no
 other thread waits for them, and they need neither Python's headers nor another package.
@@ -52,6 +52,7 @@ MAX_CELL, MAX_CHANNELS = 8, 4
 # As the functions there take them.
 _ARGUMENTS = {
     'equirect_pixels': 'ifffiFF',
+    'doubled': 'iibB',
     'warp_equirect': 'iiffbfffiiibiiB',
     'read_pixels': 'ibiiffF',
     'settle_patches': 'ilddddbiiifffiixixxxDFF',

@@ -12,9 +12,9 @@
 // See the License for the specific language governing permissions and
 // limitations under the License.
 
-// The inner loops of the anchored tracker and of the warp. Arrays are dense, in C order; the
-// Python functions that call these say what they mean, and do the same in NumPy where nothing was
-// compiled.
+// The inner loops of the anchored tracker, the warp and the colours of videos. Arrays are dense, in
+// C order; the Python functions that call these say what they mean, and do the same in NumPy where
+// nothing was compiled.
 
 #include <math.h>
 #include <stdint.h>
@@ -71,6 +71,32 @@ WITH_WIDE_VECTORS
 void equirect_pixels(int n, const float *x, const float *y, const float *z, int width, float *u,
                      float *v) {
   pixels_of(n, x, y, z, width, u, v);
+}
+
+// Columns of a plane that are doubled at a time.
+#define SPAN 512
+
+// A plane (height, width) twice as high and wide, bilinearly: the colours of a video for each of
+// its pixels.
+WITH_WIDE_VECTORS
+void doubled(int height, int width, const uint8_t *restrict plane, uint8_t *restrict out) {
+  // Of each column, and of those next to the first and the last one, between two rows.
+  uint16_t between[SPAN + 2];
+  for (int row = 0; row < 2 * height; row++)
+    for (int first = 0; first < width; first += SPAN) {
+      const int n = width - first < SPAN ? width - first : SPAN;
+      const int other = row / 2 + (row % 2 ? 1 : -1);
+      const uint8_t *near = plane + (int64_t)(row / 2) * width + first;
+      const uint8_t *far = other < 0 || other == height ? near : near + (other - row / 2) * width;
+      for (int k = 0; k < n; k++) between[k + 1] = 3 * near[k] + far[k];
+      between[0] = first ? 3 * near[-1] + far[-1] : between[1];
+      between[n + 1] = first + n < width ? 3 * near[n] + far[n] : between[n];
+      uint8_t *values = out + ((int64_t)row * width + first) * 2;
+      for (int k = 0; k < n; k++) {
+        values[2 * k] = (uint16_t)(3 * between[k + 1] + between[k] + 8) >> 4;
+        values[2 * k + 1] = (uint16_t)(3 * between[k + 1] + between[k + 2] + 8) >> 4;
+      }
+    }
 }
 
 // Parts of the warp's target that stay in the fastest cache with what they are read from.

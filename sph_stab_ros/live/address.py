@@ -33,6 +33,8 @@ CHOOSING = {'input_format', 'pixel_format', 'video_size'}
 DEVICE = re.compile(r'/dev/(video\d+|v4l/.+)')
 # The other one is FFmpeg's, and easier to write in YAML.
 STANDARD_INPUT = ('-', 'pipe:0')
+# What is done with a bag.
+PLAYED = "'ros2 run sph_stab_ros player BAG' plays its images on a topic"
 SCHEME = re.compile(r'([a-z][a-z0-9+.-]*)://', re.IGNORECASE)
 PASSWORD = re.compile(r'(?<=://)([^/@:]*):[^/@]*@')
 
@@ -107,9 +109,16 @@ def address_of(text: str, options: str = '') -> Address:
         return Address(PASSWORD.sub(r'\1:***@', text), Kind.STREAM, text, form,
                        ({**chosen, **given},))
     path = Path(text[scheme.end():] if scheme else text)
+    if path.is_dir():
+        raise SourceError(f"source: '{path}' is a folder; if that is a bag, {PLAYED}")
     if not path.is_file():
         raise SourceError(f"source: there is no file '{path}', and no protocol:// begins it")
     return Address(str(path), Kind.FILE, f'file:{path}', form, (given,))
+
+
+def file_of(address: Address) -> Path:
+    """Return the path of a file's Address."""
+    return Path(address.url.removeprefix('file:'))
 
 
 def given_options(text: str) -> dict[str, str]:

@@ -28,6 +28,8 @@ OPEN_S, READ_S = 10., 5.
 NO_TIMES = 0x80
 # And what such as these show is counted by a rate that they may not keep.
 COUNTED = ('rawvideo', 'yuv4mpegpipe')
+# Containers that tell which pictures are key pictures; of others FFmpeg's parsers may.
+KEYED = 'matroska', 'mov', 'flv'
 # libavformat of FFmpeg 8.1. With 8.0 a process that listens for RTMP ends by a segmentation fault.
 RTMP_SERVER = 62, 12
 # Who does not wait so long for a packet in so much time cannot keep up with them; who is so late
@@ -65,6 +67,11 @@ def has_times(container: 'av.container.InputContainer') -> bool:
     """Tell whether the times of packets are those of pictures."""
     form = container.format
     return not (form.flags & NO_TIMES or form.name.endswith('_pipe') or form.name in COUNTED)
+
+
+def tells_keys(container: 'av.container.InputContainer') -> bool:
+    """Tell whether it is known of each packet whether that is a key picture."""
+    return container.format.name.startswith(KEYED)
 
 
 def reason_of(error: Exception, address: Address) -> tuple[str, bool]:

@@ -9,6 +9,7 @@
 """Packets of a live stream into pictures, never one that is made of missing or damaged ones."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Any, TYPE_CHECKING, TypeAlias
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
@@ -16,8 +17,8 @@ from sph_stab_ros.images.codec import whole_file
 from sph_stab_ros.images.image_error import ImageError
 from sph_stab_ros.images.jpeg import JpegFile
 from sph_stab_ros.images.picture_time import Stamp
-from sph_stab_ros.images.video.decoder import DAMAGED, VideoDecoder
-from sph_stab_ros.images.video.picture import tagged_colour, VideoPicture
+from sph_stab_ros.images.video.decoder import DAMAGED, NO_KEY, VideoDecoder
+from sph_stab_ros.images.video.picture import side_data_of, tagged_colour, VideoPicture
 from sph_stab_ros.live.address import SourceError
 
 if TYPE_CHECKING:
@@ -48,17 +49,26 @@ class PacketDecoder:
         Of video, of an open container.
     say
         Told in one line of what users should hear of.
+    tells_keys
+        Whether the container knows which pictures are key pictures. Most of FFmpeg's decoders make
+        something of the others, or call them damaged, before there has been one.
 
     """
 
-    def __init__(self, stream: 'av.VideoStream', say: Callable[[str], Any]) -> None:
+    def __init__(self, stream: 'av.VideoStream', say: Callable[[str], Any],
+                 tells_keys: bool = False) -> None:
         import av
         from av.bitstream import BitStreamFilterContext
         self._error = av.FFmpegError
-        self._stream = stream
+        self._stream, self._say = stream, say
+        # Packets passed over since there was no key picture to begin with; None while decoding.
+        self._passed: int | None = 0 if tells_keys else None
         if stream.codec_context is None:
             raise SourceError('its codec is unknown to FFmpeg')
         self.codec: str = stream.codec_context.codec.canonical_name
+        # What FFmpeg tells of the pictures besides, such as how they show a sphere.
+        self.side_data: dict[str, bytes] = {}
+        self._has_side_data = False
         self._video: VideoDecoder[int | None] | None = None
         self._filter: BitStreamFilterContext | None = None
         if self.codec in VIDEO:
@@ -83,6 +93,8 @@ class PacketDecoder:
                ) -> Iterator[Decoded]:
         """Yield what comes of a packet."""
         if self._video is not None:
+            if packet.is_keyframe and not self._has_side_data:
+                self._look_at(packet)
             # Without times of their own pictures that come in a burst would look like a gap.
             stamp = Stamp(pts_ns, None if pts_ns is None else received_ns)
             for one in self._filter.filter(packet) if self._filter else (packet,):
@@ -92,7 +104,15 @@ class PacketDecoder:
                 yield pts_ns, JpegFile(whole_file(bytes(packet))[0])
             except ImageError as error:
                 yield pts_ns, error
+        elif self._passed is not None and not packet.is_keyframe:
+            self._passed += 1
+            yield pts_ns, ImageError(
+                NO_KEY, f'it needs others before it; {self.codec} goes on with a key picture')
         else:
+            if self._passed:
+                self._say(f'{self.codec}: pictures passed over before a key picture: '
+                          f'{self._passed}')
+            self._passed = None
             yield from self._decode(packet, pts_ns)
 
     def flush(self) -> Iterator[Decoded]:
@@ -101,6 +121,17 @@ class PacketDecoder:
             yield from self._video.flush()
         elif self.codec != JPEG:
             yield from self._decode(None, None)
+
+    def _look_at(self, packet: 'av.Packet[Any]') -> None:
+        """Find out what comes with a key picture, by a decoder that knows the container."""
+        context: Any = self._stream.codec_context
+        with suppress(self._error):
+            for picture in [*context.decode(packet), *context.decode(None)]:
+                self._take_side_data(picture)
+
+    def _take_side_data(self, picture: 'av.VideoFrame') -> None:
+        if not self._has_side_data:
+            self.side_data, self._has_side_data = side_data_of(picture), True
 
     def _decode(self, packet: 'av.Packet[Any] | None', pts_ns: int | None) -> Iterator[Decoded]:
         """Yield what FFmpeg's own decoder makes of a packet, or of the end."""
@@ -111,6 +142,7 @@ class PacketDecoder:
             yield pts_ns, ImageError(DAMAGED, f'it cannot be decoded ({error.strerror})')
             return
         for picture in pictures:
+            self._take_side_data(picture)
             shown_ns = pts_ns_of(picture)
             if picture.is_corrupt:
                 yield shown_ns, ImageError(DAMAGED, 'the decoder found errors')

@@ -13,7 +13,7 @@ What goes wrong is a line and a state, never an exception and never the end of t
 is unplugged and plugged in again, a sender is killed and started.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from threading import Event, Thread
 from time import monotonic, monotonic_ns, time_ns
 from typing import Any, NamedTuple, Protocol, TYPE_CHECKING
@@ -24,7 +24,7 @@ from sph_stab_ros.images.joined import JoinedPicture, Pairing, tracks_of
 from sph_stab_ros.live.address import Address, Kind, SourceError
 from sph_stab_ros.live.capture_clock import CaptureClock
 from sph_stab_ros.live.connection import (
-    Backlog, has_times, is_recording, opened, Pace, reason_of, require_pyav)
+    Backlog, has_times, is_recording, opened, Pace, reason_of, require_pyav, tells_keys)
 from sph_stab_ros.live.packets import LiveImage, PacketDecoder, pts_ns_of, sender_time
 
 if TYPE_CHECKING:
@@ -50,11 +50,16 @@ class Log(Protocol):
 
 
 class LivePicture(NamedTuple):
-    """A picture, its stamp in ns since 1970, and when it came in by the steady clock."""
+    """
+    A picture, its stamp in ns since 1970, and when it came in by the steady clock.
+
+    ``side_data`` is what FFmpeg tells of the pictures besides, by its names.
+    """
 
     source: LiveImage | JoinedPicture
     stamp_ns: int
     received_s: float
+    side_data: Mapping[str, bytes] = {}
 
 
 class SourceState(NamedTuple):
@@ -99,13 +104,18 @@ class LiveSource:
     def __init__(self, address: Address, take: Callable[[LivePicture], Any],
                  log: Log, refuse: Callable[[ImageError], Any], join: str = NOT_JOINED) -> None:
         require_pyav(address)
-        self.state = SourceState()
+        self.state, self.name = SourceState(), address.name
         self._address, self._join = address, join
         self._pairing: Pairing[LiveImage] = Pairing()
         self._take, self._log, self._refuse = take, log, refuse
         self._clock = CaptureClock()
         self._closing = Event()
         self._thread = Thread(target=self._run, name='source', daemon=True)
+
+    def why_silent(self) -> str:
+        """Return why nothing comes, '' where something does."""
+        state = self.state
+        return '' if state.status == CONNECTED else f'{self.name}: {state.why or state.status}'
 
     def start(self) -> None:
         """Start to read."""
@@ -150,7 +160,8 @@ class LiveSource:
                 raise SourceError('there is no video in what comes')
             if self._join != NOT_JOINED and len(tracks) < 2:
                 raise SourceError('there is no second video track of the same size to join')
-            decoders = [PacketDecoder(track, self._log.warning) for track in tracks]
+            decoders = [PacketDecoder(track, self._log.warning, tells_keys(container))
+                        for track in tracks]
             self._pairing = Pairing()
             pace = Pace(self._closing) if is_recording(self._address, container) else None
             backlog, is_timed = Backlog(), has_times(container)
@@ -173,11 +184,11 @@ class LiveSource:
                     self.state = self.state._replace(left_out=self.state.left_out + 1)
                 else:
                     for shown_ns, outcome in decoder.decode(packet, pts_ns, arrival_ns):
-                        self._give(track, shown_ns, outcome, arrival_ns, decoder.codec)
+                        self._give(track, shown_ns, outcome, arrival_ns, decoder)
                 backlog.begin(monotonic(), monotonic() - received_s)
             for track, decoder in enumerate(decoders):
                 for shown_ns, outcome in decoder.flush():
-                    self._give(track, shown_ns, outcome, time_ns(), decoder.codec)
+                    self._give(track, shown_ns, outcome, time_ns(), decoder)
 
     def _hear_clock(self, packet: 'av.Packet[Any]', pts_ns: int | None, arrival_ns: int) -> None:
         if pts_ns is None:
@@ -189,7 +200,7 @@ class LiveSource:
             self._clock.hear_sender(told, pts_ns)
 
     def _give(self, track: int, pts_ns: int | None, outcome: LiveImage | ImageError,
-              arrival_ns: int, codec: str) -> None:
+              arrival_ns: int, decoder: PacketDecoder) -> None:
         """Pass on a track's picture, with the other track's if they are joined, or why not."""
         if isinstance(outcome, ImageError):
             self._refuse(outcome)
@@ -204,19 +215,19 @@ class LiveSource:
         width, height = size_wh = picture.size_wh
         old = self.state
         self.state = SourceState(
-            CONNECTED, '', codec, size_wh, self._clock.name,
+            CONNECTED, '', decoder.codec, size_wh, self._clock.name,
             old.connections + (old.status != CONNECTED), old.pictures + 1, old.left_out)
         if old.status != CONNECTED:
-            self._log.info(f'{self._address.name}: {codec}, {width}x{height}')
+            self._log.info(f'{self.name}: {decoder.codec}, {width}x{height}')
         elif old.size_wh != size_wh:
-            self._log.warning(f'{self._address.name}: the pictures are {width}x{height} now')
-        self._take(LivePicture(picture, stamp_ns, monotonic()))
+            self._log.warning(f'{self.name}: the pictures are {width}x{height} now')
+        self._take(LivePicture(picture, stamp_ns, monotonic(), decoder.side_data))
 
     def _lose(self, why: str, is_over: bool) -> None:
         """Take note of why nothing comes, and say it once."""
         if is_over and self.state.pictures:
-            self._log.info(f'{self._address.name}: {why}')
+            self._log.info(f'{self.name}: {why}')
         elif why != self.state.why:
             self._log.warning(
-                f'{self._address.name}: {why}' + ('' if is_over else '; trying again'))
+                f'{self.name}: {why}' + ('' if is_over else '; trying again'))
         self.state = self.state._replace(status=ENDED if is_over else RECONNECTING, why=why)

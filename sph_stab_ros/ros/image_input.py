@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from rclpy.node import Node
 from sph_stab_ros.config import NodeConfig, NOT_JOINED
 from sph_stab_ros.geometry.conventions import NS_PER_S
+from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame, video_codec
 from sph_stab_ros.images.frame import Frame, PictureSource, source_from_message
 from sph_stab_ros.images.joined import JoinedPicture
@@ -35,7 +36,8 @@ class ReceivedImage(NamedTuple):
     """
     A message that holds a picture, or the picture of a source or a decoder.
 
-    ``other`` is another lens', and ``join`` says how to put the two together.
+    ``other`` is another lens', and ``join`` says how to put the two together; ``layout`` and
+    ``refusal`` are the Frame's.
     """
 
     content: Any
@@ -44,13 +46,16 @@ class ReceivedImage(NamedTuple):
     received_s: float
     other: Any = None
     join: str = NOT_JOINED
+    layout: Layout | None = None
+    refusal: ImageError | None = None
 
     def frame(self, times: PictureTime) -> Frame:
         """Return the Frame of it, whose times these are; ImageError where there is no picture."""
         source = _source_of(self.content)
         if self.join != NOT_JOINED:
             source = JoinedPicture(source, _source_of(self.other), self.join)
-        return Frame(source, times.stamp_ns, self.frame_id, times)
+        return Frame(source, times.stamp_ns, self.frame_id, times, self.layout,
+                     refusal=self.refusal)
 
 
 def _source_of(content: Any) -> PictureSource:

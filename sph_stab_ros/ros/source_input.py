@@ -13,12 +13,30 @@ from time import monotonic
 from typing import Any
 
 from rclpy.node import Node
-from sph_stab_ros.config import ConfigError, NodeConfig
+from sph_stab_ros.config import ConfigError, NodeConfig, NOT_JOINED
 from sph_stab_ros.images.image_error import ImageError
-from sph_stab_ros.live.address import address_of, SourceError
-from sph_stab_ros.live.source import CONNECTED, LivePicture, LiveSource
+from sph_stab_ros.live.address import Address, address_of, file_of, Kind, PLAYED, SourceError
+from sph_stab_ros.live.joined import source_of
+from sph_stab_ros.live.source import LivePicture
+from sph_stab_ros.recording import RecordingError
+from sph_stab_ros.recording.containers.kinds import kind_of, refuse_if_known
+from sph_stab_ros.recording.spherical import boxes_say, InBoxes, layout_of
 from sph_stab_ros.ros.diagnostics import Diagnostics
 from sph_stab_ros.ros.image_input import ReceivedImage
+
+
+def source_address(text: str, options: str) -> Address:
+    """Return the Address in a text; SourceError also where it is of a file that is no video."""
+    address = address_of(text, options)
+    if address.kind is Kind.FILE:
+        try:
+            refuse_if_known(file_of(address))
+            is_bag = kind_of(file_of(address)) is not None
+        except (OSError, RecordingError) as error:
+            raise SourceError(f'source: {error}') from None
+        if is_bag:
+            raise SourceError(f"source: '{address.name}' is a bag; {PLAYED}")
+    return address
 
 
 class SourceInput:
@@ -29,7 +47,8 @@ class SourceInput:
     ----------
     node : rclpy.node.Node
     config : NodeConfig
-        Names the source; ConfigError where that is none, or PyAV is missing.
+        Names the source, and the rear lens' if there is one; ConfigError where that is none, or
+        PyAV is missing.
     take : callable
         Takes each ReceivedImage, in the order of presentation.
     diagnostics : Diagnostics
@@ -43,23 +62,27 @@ class SourceInput:
         self._take = take
         self._diagnostics = diagnostics
         try:
-            address = address_of(config.source, config.source_options)
-            self._source = LiveSource(
-                address, self._on_picture, node.get_logger(), self._refuse, config.join)
+            address = source_address(config.source, config.source_options)
+            rear = (source_address(config.source_rear, config.source_options)
+                    if config.source_rear else None)
+            self._source = source_of(address, rear, self._on_picture, node.get_logger(),
+                                     self._refuse, config.join)
         except SourceError as error:
             raise ConfigError(str(error)) from None
-        self.name = address.name
+        self.name = self._source.name
+        self._is_joined = config.join != NOT_JOINED
+        self._in_boxes = (
+            boxes_say(file_of(address)) if address.kind is Kind.FILE else InBoxes())
         self._period_s, self._counted = monotonic(), 0
 
     @property
     def dropped(self) -> int:
-        """Return how many pictures were not decoded, since others came too soon."""
+        """Return how many pictures were not used, since others came too soon or lacked one."""
         return self._source.state.left_out
 
     def why_silent(self) -> str:
         """Return why nothing comes, '' where something does."""
-        state = self._source.state
-        return '' if state.status == CONNECTED else f'{self.name}: {state.why or state.status}'
+        return self._source.why_silent()
 
     def state(self) -> dict[str, Any]:
         """Return what /diagnostics says of the source, its rate since the last call included."""
@@ -86,8 +109,14 @@ class SourceInput:
     # In the source's thread.
 
     def _on_picture(self, picture: LivePicture) -> None:
-        self._take(ReceivedImage(
-            picture.source, picture.stamp_ns, self._frame_id, picture.received_s))
+        layout = refusal = None
+        if not self._is_joined:
+            try:
+                layout = layout_of(picture.side_data, picture.source.size_wh, self._in_boxes)
+            except RecordingError as error:
+                refusal = ImageError('metadata', str(error))
+        self._take(ReceivedImage(picture.source, picture.stamp_ns, self._frame_id,
+                                 picture.received_s, layout=layout, refusal=refusal))
 
     def _refuse(self, error: ImageError) -> None:
         self._diagnostics.refuse(error.reason, error)

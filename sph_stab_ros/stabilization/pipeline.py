@@ -20,7 +20,7 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import common
 from sph_stab_ros.geometry.projection import Projection
 from sph_stab_ros.geometry.projection_factory import projection_of
-from sph_stab_ros.geometry.rolling_shutter import RollingShutter, row_shares
+from sph_stab_ros.geometry.rolling_shutter import readout_shares, RollingShutter
 from sph_stab_ros.geometry.rotations import rotate_covariance
 from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
@@ -50,7 +50,7 @@ class Stabilizer:
     make_tracker : callable
         Returns the Tracker to use, from the same arguments as ``tracking.make_tracker``: the place
         for an estimator of your own. ``seen`` is given where pictures show a part of the sphere
-        only, ``row_shares`` where the shutter rolls.
+        only, ``readout_shares`` where the shutter rolls.
 
     """
 
@@ -181,8 +181,9 @@ class Stabilizer:
         seen = () if part is None else (part,)
         rolling = {}
         if self.config.tracker.rolling_shutter_s:
-            self._row_shares = row_shares(self._projection, frame.size_wh[1])
-            rolling['row_shares'] = self._row_shares
+            self._readout_shares = readout_shares(
+                self._projection, frame.size_wh, self.config)
+            rolling['readout_shares'] = self._readout_shares
         self._working_width = width
         tracker = self._tracker = self._make_tracker(
             self.config.tracker, width, self._gyro_rotation, *seen, **rolling)
@@ -222,7 +223,7 @@ class Stabilizer:
         readout_s = self.config.tracker.rolling_shutter_s
         if not readout_s:
             return self._projection
-        return RollingShutter(self._projection, self._row_shares, self._readout_turn.update(
+        return RollingShutter(self._projection, self._readout_shares, self._readout_turn.update(
             frame.time_ns, self._R_origin_camera, readout_s))
 
     def _why_no_gravity(self, frame: Frame) -> str:

@@ -44,21 +44,21 @@ def check_mask(config: TrackerConfig) -> None:
 
 def make_tracker(
         config: TrackerConfig, width: int, gyro_rotation: GyroRotation = no_gyro,
-        seen: Mask | None = None, row_shares: Plane | None = None,
+        seen: Mask | None = None, readout_shares: Plane | None = None,
         anchored: AnchoredOptions = AnchoredOptions()) -> Tracker:
     """
     Return the Tracker that a TrackerConfig asks for, for grey spheres ``width`` wide.
 
     ``gyro_rotation(from_ns, to_ns)`` returns the turn ``R_from_to`` that a gyro has seen between
     two stamps, or None. ``seen`` are the pixels (width / 2, width) bool that the pictures show,
-    all by default; ProjectionError where the config's mask leaves none of them. ``row_shares``
+    all by default; ProjectionError where the config's mask leaves none of them. ``readout_shares``
     (320, 640) tell when directions are read where the shutter rolls, which the anchored tracker
     takes into account; ``anchored`` says how that does what it does.
     """
     used = common(load_mask(config.mask, width), seen)
     if config.estimator == ANCHORED:
         return AnchoredTracker(used, config.max_prediction_s, gyro_rotation, anchored,
-                               Readout(config.rolling_shutter_s, row_shares))
+                               Readout(config.rolling_shutter_s, readout_shares))
     bound_deg = config.epipolar_bound_deg
     return FrameToFrameTracker(
         config.estimator, used, config.max_prediction_s, gyro_rotation,

@@ -136,8 +136,12 @@ def test_a_picture_is_given_as_is_asked_for():
         luma = frame.to_ndarray(format='yuv420p')[:64].astype(float)
         grey = picture.grey()
         np.testing.assert_allclose(grey, ((luma - 16) * 255 / 219).clip(0, 255), atol=0.51)
+        small = picture.grey(40)
+        assert small.shape == (22, 43)
+        reduced = cv2.resize(grey, (43, 22), interpolation=cv2.INTER_AREA)
+        np.testing.assert_allclose(small, reduced.astype(float), atol=2)
         picture.load()
-        assert np.array_equal(picture.grey(32), grey)
+        assert np.array_equal(picture.grey(), grey) and np.array_equal(picture.grey(40), small)
         # FFmpeg makes the coarse colours finer in another way.
         colours = frame.to_ndarray(format='bgr24')
         assert np.abs(picture.image.mean(axis=(0, 1)) - colours.mean(axis=(0, 1))).max() < 2

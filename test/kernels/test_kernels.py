@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros import kernels
 from sph_stab_ros.geometry.warp import perspective_view, rotate_equirect
+from sph_stab_ros.images.colour import resized
 from sph_stab_ros.tracking.anchored import bundle_adjustment, bundle_window, pose_estimation
 from sph_stab_ros.tracking.anchored.patches import Patches, PatchOptions, Pyramid
 from synthetic import random_rotation, textured_sphere, unit
@@ -186,3 +187,14 @@ def test_pictures_that_are_not_dense_or_not_to_be_written_to(both):
     locked.flags.writeable = False
     R = Rotation.random(random_state=2)
     np.testing.assert_array_equal(rotate_equirect(crop, R), rotate_equirect(locked, R))
+
+
+@pytest.mark.parametrize('shape', ((1, 1), (2, 1), (7, 5), (33, 512), (20, 1025)))
+def test_planes_of_colours_twice_as_fine(both, shape):
+    plane = np.random.default_rng(0).integers(0, 256, shape, np.uint8)
+    size_wh = 2 * shape[1], 2 * shape[0]
+    compiled, with_opencv = both(lambda: resized(plane, size_wh))
+    # In whole sixteenths.
+    exact = cv2.resize(plane.astype(np.float32), size_wh)
+    np.testing.assert_array_equal(compiled, np.floor(exact + 0.5))
+    np.testing.assert_allclose(np.int16(with_opencv), compiled, atol=1)

@@ -22,14 +22,17 @@ import pytest
 
 # Nobody reads a source without.
 av = pytest.importorskip('av')
-from live_sender import painted_number, sending  # noqa: E402, I100
+from live_sender import BY_CLOCK, painted_number, sending  # noqa: E402, I100
 from rtsp_server import rtsp_server  # noqa: E402
+from sph_stab_ros.config import NOT_JOINED  # noqa: E402
 from sph_stab_ros.images.jpeg import JpegFile  # noqa: E402
 from sph_stab_ros.images.video.decoder import NO_KEY  # noqa: E402
 from sph_stab_ros.live.address import address_of, Kind, SourceError  # noqa: E402
 from sph_stab_ros.live.capture_clock import ARRIVAL, SENDER  # noqa: E402
 from sph_stab_ros.live.connection import require_pyav, RTMP_SERVER  # noqa: E402
-from sph_stab_ros.live.source import CONNECTED, ENDED, LiveSource, RECONNECTING  # noqa: E402
+from sph_stab_ros.live.joined import source_of  # noqa: E402
+from sph_stab_ros.live.source import (  # noqa: E402
+    CONNECTED, ENDED, LivePicture, LiveSource, RECONNECTING)
 from tiny_videos import encode, encode_tracks, frame_of  # noqa: E402
 
 TIMEOUT_S = 30.
@@ -41,10 +44,10 @@ log = logging.getLogger('live')
 class Reader:
     """Reads a source; ``pictures`` are the LivePictures, ``refused`` the ImageErrors."""
 
-    def __init__(self, address, **options):
+    def __init__(self, address, rear=None, join=NOT_JOINED):
         self.pictures, self.refused = [], []
-        self.source = LiveSource(
-            address, self.pictures.append, log, self.refused.append, **options)
+        self.source = source_of(
+            address, rear, self.pictures.append, log, self.refused.append, join)
         self.source.start()
 
     @property
@@ -70,9 +73,10 @@ class Reader:
 
 
 @contextmanager
-def reading(address, options=''):
+def reading(address, options='', **others):
     """Read an address, or the text of one."""
-    reader = Reader(address_of(address, options) if isinstance(address, str) else address)
+    reader = Reader(
+        address_of(address, options) if isinstance(address, str) else address, **others)
     try:
         yield reader
     finally:
@@ -210,6 +214,55 @@ def test_a_file_without_a_second_track_says_so(tmp_path, caplog):
     assert 'no second video track' in caplog.text
 
 
+def of_one_moment(picture):
+    """Tell whether two lenses' pictures side by side have the same number."""
+    first, second = map(painted_number, np.split(picture.source.grey(), 2, axis=1))
+    return first == second
+
+
+@pytest.mark.skipif(RTCP_CLOCK != SENDER, reason='this PyAV does not give away what RTCP says')
+def test_two_senders_are_one_picture_and_one_comes_back():
+    """Of one moment each, by the clock that both senders have."""
+    port = free_port(socket.SOCK_STREAM)
+    rear = f'rtsp://127.0.0.1:{port}/sphere'
+    with rtsp_server(first=BY_CLOCK) as front, reading(
+            front, rear=address_of(rear), join='left_right') as reader:
+        assert reader.source.name == f'{front} and {rear}'
+        for connections in 2, 3:
+            reader.wait_until(lambda: reader.state.why)
+            assert reader.source.why_silent().startswith(f'{rear}: ')
+            with rtsp_server(port, first=BY_CLOCK):
+                before = len(reader.pictures)
+                # Until then a sender's clock is not known, or stamps have not come back to it.
+                reader.wait_until(lambda: any(map(of_one_moment, reader.pictures[before:])))
+                assert all(map(of_one_moment, reader.read(5)))
+                assert reader.state.clock == SENDER
+                assert reader.state[:4] == (CONNECTED, '', 'h264', (512, 128))
+                assert reader.state.connections == connections
+                assert not reader.source.why_silent()
+            reader.wait_until(lambda: reader.state.status == RECONNECTING)
+        check_stamps(reader)
+
+
+def test_pictures_of_different_moments_are_not_joined_and_that_is_said(monkeypatch):
+    """Of cameras that nothing makes take their pictures at the same time."""
+    first, second = address_of('udp://@:5000'), address_of('udp://@:5001')
+    with pytest.raises(SourceError, match='needs join'):
+        source_of(first, second, print, log, print, NOT_JOINED)
+    monkeypatch.setattr(LiveSource, 'why_silent', lambda self: '')
+    taken = []
+    joined = source_of(first, second, taken.append, log, print, 'top_bottom')
+    picture = frame_of([np.full((48, 64), 90, np.uint8),
+                        *np.full((2, 24, 32), 128, np.uint8)], 'yuv420p')
+    for n in range(20):
+        assert not joined.state.pictures
+        for which, shift_ms in enumerate((0, 15)):
+            joined.add(which, LivePicture(picture, 10**18 + (33 * n + shift_ms) * 10**6, 0.))
+    assert joined.why_silent() == (
+        f'no picture of {joined.name} is of the same time as one of the other, within 8 ms')
+    assert not taken and joined.state.left_out == 40
+
+
 def test_a_file_is_played_once(tmp_path):
     """Up to its last picture, which is told apart from a break."""
     path = tmp_path / 'ride.mkv'
@@ -222,6 +275,27 @@ def test_a_file_is_played_once(tmp_path):
         # Not faster than it was taken.
         stamps_ns = [one.stamp_ns for one in reader.pictures]
         assert stamps_ns[-1] - stamps_ns[0] > 0.8 * 11 / 30 * 1e9
+
+
+@pytest.mark.parametrize('codec', ['libvpx', 'mpeg4', 'libx264'])
+def test_a_recording_that_begins_between_two_key_pictures_waits_for_one(tmp_path, codec, caplog):
+    """And says so, whoever decodes."""
+    whole, cut = tmp_path / 'whole.mkv', tmp_path / 'cut.mkv'
+    with sending(str(whole), 'matroska', codec, frames=24) as sender:
+        assert sender.wait(TIMEOUT_S) == 0
+    with av.open(whole) as there, av.open(cut, 'w') as here:
+        stream = here.add_stream_from_template(there.streams.video[0])
+        packets = [packet for packet in there.demux() if packet.size]
+        keys = [number for number, packet in enumerate(packets) if packet.is_keyframe]
+        assert keys[0] == 0 and len(keys) > 1
+        for packet in packets[keys[1] - 3:]:
+            packet.stream = stream
+            here.mux(packet)
+    with reading(str(cut)) as reader:
+        reader.wait_until(reader.source.has_ended)
+        assert reader.numbers == [*range(keys[1], 24)]
+        assert [one.reason for one in reader.refused] == 3 * [NO_KEY]
+    assert caplog.text.count('pictures passed over before a key picture: 3') == 1
 
 
 def test_a_pipe_ends_where_its_writer_does():

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
@@ -22,6 +23,8 @@ from live_sender import sending  # noqa: E402, I100
 from node_harness import DOMAINS, stabilizer, stamp_ns  # noqa: E402
 from rtsp_server import rtsp_server  # noqa: E402
 from sph_stab_ros.live.connection import RTMP_SERVER  # noqa: E402
+from tiny_recordings import turning_spheres  # noqa: E402
+import tiny_videos as videos  # noqa: E402
 
 QUICK = ('-p', 'working_width:=192')
 TOPICS = 'orientation', '/diagnostics'
@@ -84,6 +87,45 @@ def ending(*arguments, **environment):
     said = done.stderr.splitlines()
     assert sum(not one.startswith('[INFO]') for one in said) == 1, said
     return done.returncode, said[-1].removeprefix('stabilizer: cannot start: ')
+
+
+@pytest.mark.parametrize('arguments, said', [
+    (('source_rear:=udp://@:5000', 'join:=left_right'),
+     'source_rear is of the other lens than source: name that, too'),
+    (('source:=udp://@:5000', 'source_rear:=udp://@:5001'),
+     'a source for the rear lens needs join:=left_right or top_bottom')])
+def test_half_of_two_lenses_is_refused(arguments, said):
+    parameters = [part for one in arguments for part in ('-p', one)]
+    assert ending(*parameters) == (2, said)
+
+
+def test_a_bag_is_refused_by_name(turning_bag, tmp_path):
+    """Whether its folder is named or a file in it, which FFmpeg may take for something else."""
+    file, = turning_bag.glob('*.mcap') if turning_bag.is_dir() else (turning_bag,)
+    said = "'ros2 run sph_stab_ros player BAG' plays its images on a topic"
+    assert ending('-p', f'source:={file}') == (2, f"source: '{file}' is a bag; {said}")
+    assert ending('-p', f'source:={tmp_path}') == (
+        2, f"source: '{tmp_path}' is a folder; if that is a bag, {said}")
+
+
+@pytest.mark.parametrize('box, layout', [
+    (videos.stereo_box(1), True), (videos.sphere_box(projection=b'mshp'), False)],
+    ids=['two eyes', 'a mesh'])
+def test_what_a_file_says_of_its_pictures_is_heeded(tmp_path, box, layout):
+    """As by replay: one eye is used of two, and what is not read is refused by name."""
+    path = videos.tagged(videos.encode(tmp_path / 'a.mp4', [
+        videos.bgr_frame(np.vstack((image, image))) for image in turning_spheres(12, 128)[0]] * 20,
+        options={'tune': 'zerolatency'}), box)
+    with stabilizer(tmp_path, *QUICK, '-p', f'source:={path}',
+                    topics=(*TOPICS, 'stabilized/image'), camera=False) as peer:
+        if layout:
+            peer.wait_until(lambda: peer.received['stabilized/image'])
+            assert {(msg.width, msg.height) for msg in peer.received['stabilized/image']} == {
+                (128, 64)}
+        else:
+            values = peer.diagnostics(lambda values: int(values['refused']) > 0)
+            assert 'which is not read' in peer.output()
+            assert int(values['refused: metadata']) > 0 and not peer.received['orientation']
 
 
 def test_without_pyav_the_node_says_what_to_install(tmp_path):

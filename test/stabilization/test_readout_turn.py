@@ -8,11 +8,16 @@
 
 """A stabiliser that knows that rows are read one after the other; the picture does not wobble."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
+from projection_pictures import picture_of
 import pytest
 from scipy.spatial.transform import Rotation
-from sph_stab_ros.config import StabilizerConfig, TrackerConfig
+from sph_stab_ros.config import (
+    COLUMNS, FISHEYE, FisheyeConfig, LensConfig, ROWS, StabilizerConfig, TrackerConfig)
+from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.offline import offline_stabilizer
 from sph_stab_ros.stabilization.pipeline import Stabilizer
@@ -20,6 +25,7 @@ from sph_stab_ros.stabilization.readout_turn import MAX_INTERVAL_S, ReadoutTurn
 from synthetic import textured_sphere
 
 WIDTH = 256
+SIDE = 200
 PERIOD_S = 1 / 30
 READOUT_S = 0.03
 
@@ -56,6 +62,37 @@ def config(estimator, readout_s):
     """Return the config of a camera that is read for so long."""
     return StabilizerConfig(tracker=TrackerConfig(
         estimator=estimator, flow='dis', working_width=WIDTH, rolling_shutter_s=readout_s))
+
+
+def lying(frames, angle_deg):
+    """Return what a fisheye camera that lies on its side (±90) sees of spheres, and its config."""
+    lens = FisheyeConfig(SIDE, SIDE, fov_deg=220., front=LensConfig(
+        (SIDE - 1) / 2, (SIDE - 1) / 2, SIDE / 2.5, k1=0., k2=0.))
+    upright, turned = (StabilizerConfig(projection=FISHEYE, fisheye=replace(
+        lens, front=replace(lens.front, roll_deg=deg))) for deg in (0., angle_deg))
+    projection = projection_of((SIDE, SIDE), upright)
+    pictures = [picture_of(projection, frame.image) for frame in frames]
+    return [[replace(frame, source=np.ascontiguousarray(np.rot90(picture, turns)))
+             for frame, picture in zip(frames, pictures)]
+            for turns in (0, round(angle_deg / 90))], (upright, turned)
+
+
+@pytest.mark.parametrize('angle_deg, by, sign', [
+    (90., COLUMNS, 1), (-90., COLUMNS, -1), (180., ROWS, -1)])
+def test_how_the_sensor_lies_is_nobodys_business(frames, angle_deg, by, sign):
+    """A picture turned with its lens, and read as it was, has the same orientations."""
+    (upright, turned), configs = lying(frames, angle_deg)
+    outcomes = []
+    for pictures, config, how in ((upright, configs[0], (READOUT_S, ROWS)),
+                                  (turned, configs[1], (sign * READOUT_S, by)),
+                                  (turned, configs[1], (-sign * READOUT_S, by))):
+        stabilizer = Stabilizer(replace(config, tracker=TrackerConfig(
+            working_width=WIDTH, rolling_shutter_s=how[0], rolling_shutter_by=how[1])))
+        outcomes.append(Rotation.concatenate(
+            [stabilizer.process(picture).R_world_camera for picture in pictures]))
+    as_upright, wrong = (np.rad2deg((outcomes[0].inv() * one).magnitude().max())
+                         for one in outcomes[1:])
+    assert as_upright < 0.01 < wrong / 3
 
 
 @pytest.mark.parametrize('estimator', ('anchored', 'moment'))

@@ -27,6 +27,9 @@ import cv2
 from tiny_recordings import turning_spheres
 
 RATE, KEY_PERIOD, BITS = 30, 10, 12
+# In place of the first number: pictures are numbered, and sent, by the clock of all senders.
+BY_CLOCK = -1
+TICKS = 1000
 CONNECTING_S = 20
 OPTIONS = {'libx264': {'preset': 'ultrafast', 'tune': 'zerolatency'}}
 PIX_FMT = {'mjpeg': 'yuvj420p'}
@@ -55,18 +58,25 @@ def send(url, form, codec, width, height, frames, first):
         stream.width, stream.height = width, height
         stream.pix_fmt = PIX_FMT.get(codec, 'yuv420p')
         stream.codec_context.gop_size = KEY_PERIOD
-        stream.time_base = stream.codec_context.time_base = Fraction(1, RATE)
-        start_s = time.monotonic()
+        stream.time_base = stream.codec_context.time_base = Fraction(1, RATE * TICKS)
+        late = 0
+        if first == BY_CLOCK:
+            # From here on the muxer's time counts.
+            container.start_encoding()
+            first, late = divmod(round(time.time() * RATE * TICKS), TICKS)
+            first += 1
+            late -= TICKS
+        start_s = time.monotonic() - late / TICKS / RATE
         for index in range(frames):
             # There and back again.
             image = cv2.resize(spheres[min(index % 22, 22 - index % 22)], (width, height))
-            paint(image, first + index)
+            paint(image, (first + index) % (1 << BITS))
             picture = av.VideoFrame.from_ndarray(image, format='bgr24').reformat(
                 format=stream.pix_fmt)
-            picture.pts = index
+            picture.pts = index * TICKS - late
             time.sleep(max(start_s + index / RATE - time.monotonic(), 0))
             container.mux(stream.encode(picture))
-            if index == 0:
+            if index == 0 and not late:
                 # The clock that RTP tells of begins with its header: nothing is sent before that.
                 start_s = time.monotonic()
         container.mux(stream.encode())

@@ -30,9 +30,9 @@ REPORTS = 1
 class RtspServer:
     """Serves what comes to a pair of ports by ``rtp://``; ``url`` is where."""
 
-    def __init__(self):
+    def __init__(self, port=0):
         self.datagrams = datagram_pair()
-        self._listener = socket.create_server(('127.0.0.1', 0))
+        self._listener = socket.create_server(('127.0.0.1', port))
         self.url = 'rtsp://{}:{}/sphere'.format(*self._listener.getsockname())
         self._client = None
         self._is_playing = False
@@ -126,9 +126,9 @@ def datagram_pair():
 
 
 @contextmanager
-def rtsp_server(**sender):
-    """Serve the pictures of a live_sender; give the address."""
-    server = RtspServer()
+def rtsp_server(port=0, **sender):
+    """Serve the pictures of a live_sender, on any port; give the address."""
+    server = RtspServer(port)
     server.start()
     port = server.datagrams[0].getsockname()[1]
     try:

@@ -13,12 +13,12 @@ from painted_room import errors_deg, PERIOD_NS, room, tracked, WIDTH
 import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.geometry.projection import Equirect
-from sph_stab_ros.geometry.rolling_shutter import row_shares, shares_along
+from sph_stab_ros.geometry.rolling_shutter import readout_shares, shares_along
 from sph_stab_ros.tracking.anchored.readout import Readout
 from synthetic import unit
 
 READOUT_S = 0.02
-SHARES = row_shares(Equirect(WIDTH), WIDTH // 2)
+SHARES = readout_shares(Equirect(WIDTH), (WIDTH, WIDTH // 2))
 RATE_RAD_S, VELOCITY_PER_S = np.array((0.4, -0.9, 0.3)), np.array((0.5, -0.2, 0.4))
 
 

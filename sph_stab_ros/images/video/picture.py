@@ -86,17 +86,23 @@ class VideoPicture:
         return self._upright(to_bgr(planes, self._square_wh, self.colour, bits, bgr_bits))
 
     def grey(self, width: int = 0) -> Grey:
-        """Return the picture in grey, the same whether anybody looks at its colours or not."""
+        """
+        Return the picture in grey, the same whether anybody looks at its colours or not.
+
+        A whole number of times smaller where that is still as wide as wanted.
+        """
         if not is_yuv(self._picture):
             return to_grey(self.image)
         picture, bits = self._planar
-        luma = plane_of(picture, 0, bits)
+        times = max(self.size_wh[0] // width, 1) if width else 1
+        across, down = self._square_wh
+        luma = resized(plane_of(picture, 0, bits), (-(-across // times), -(-down // times)))
         if bits > 8:
             most = (2 ** bits - 1) / 255 if self.colour.is_full_range else 2 ** (bits - 8)
             luma = cv2.convertScaleAbs(luma, alpha=1 / most)
         if not self.colour.is_full_range:
             luma = cv2.LUT(luma, grey_from_luma(False))
-        return self._upright(resized(luma, self._square_wh))
+        return self._upright(luma)
 
     @cached_property
     def _planar(self) -> tuple['av.VideoFrame', int]:

@@ -30,7 +30,7 @@ class Readout:
     duration_s : float
         From the first row to the last.
     shares : (320, 640), optional
-        When directions are read, as ``row_shares`` tells; needed unless all is read at once.
+        When directions are read, as ``readout_shares`` tells; needed unless all is read at once.
 
     """
 

@@ -43,13 +43,13 @@ class TwoPasses:
         self._told = 0
 
     def first_tracker(self, config: TrackerConfig, width: int, gyro_rotation: GyroRotation,
-                      seen: Mask | None = None, row_shares: Plane | None = None) -> Tracker:
+                      seen: Mask | None = None, readout_shares: Plane | None = None) -> Tracker:
         """Return a Tracker that takes in frames, by the anchored tracker that a config means."""
         def make(gyro_rotation: GyroRotation, backwards: bool) -> HindsightTracker:
             # Then the row that was read last is the first.
             readout_s = -config.rolling_shutter_s if backwards else config.rolling_shutter_s
             tracker = make_tracker(replace(config, rolling_shutter_s=readout_s), width,
-                                   gyro_rotation, seen, row_shares)
+                                   gyro_rotation, seen, readout_shares)
             assert isinstance(tracker, AnchoredTracker), 'the others have no landmarks'
             return HindsightTracker(tracker)
         self.finish()
