@@ -52,6 +52,8 @@ setup(
     ],
     extras_require={
         'cluster': ['distributed>=2024.8.0,<2027'],
+        # Video over a radio that loses packets. pyOpenSSL is aioquic's: so the oldest go together.
+        'datagrams': ['aioquic>=0.9.25,<2', 'pyopenssl>=23.3.0'],
         'operator': ['aiohttp>=3.9.1,<4', 'cryptography>=41.0.7,<51'],
         'plots': ['matplotlib>=3.8.0,<4'],
         # What others' methods make of the same pictures, for the benchmark alone.

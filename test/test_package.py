@@ -35,6 +35,7 @@ PACKAGE = 'sph_stab_ros'
 # for PyAV, and what rosbags itself needs comes with rosbags.
 PYTHON_DEPENDENCIES = {
     'aiohttp': ('aiohttp', 'python3-aiohttp'),
+    'aioquic': ('aioquic', None),
     'av': ('av', None),
     'backports': ('backports.zstd', None),
     'cryptography': ('cryptography', 'python3-cryptography'),
@@ -51,7 +52,8 @@ PYTHON_DEPENDENCIES = {
     'threadpoolctl': ('threadpoolctl', None),
     'tqdm': ('tqdm', 'python3-tqdm'),
 }
-OPTIONAL_MODULES = {'av', 'distributed', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
+OPTIONAL_MODULES = {
+    'aioquic', 'av', 'distributed', 'matplotlib', 'poselib', 'pycolmap', 'threadpoolctl'}
 # The only modules, and with `ros` all modules below it, that may need ROS to be imported.
 ROS_MODULES = tuple(f'{PACKAGE}.{name}' for name in (
     'benchmark.node', 'benchmark.soak', 'benchmark.source', 'camera', 'demo',
@@ -112,9 +114,12 @@ def test_one_version_is_named_everywhere(manifest):
 def test_setup_requires_what_is_imported(setup_arguments):
     extras = setup_arguments['extras_require']
     requirements = [*setup_arguments['install_requires'],
-                    *(extra for name in ('cluster', 'operator', 'plots', 'references', 'video')
+                    *(extra for name in (
+                        'cluster', 'datagrams', 'operator', 'plots', 'references', 'video')
                       for extra in extras[name])]
     required = {re.match(r'[\w.-]+', requirement).group() for requirement in requirements}
+    # What aioquic needs itself.
+    required.remove('pyopenssl')
     used = imported_modules() & PYTHON_DEPENDENCIES.keys()
     assert required == {PYTHON_DEPENDENCIES[module][0] for module in used}
 

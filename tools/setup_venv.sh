@@ -31,7 +31,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK=1
 pip=("$venv/bin/python" -m pip install --quiet --constraint "$constraints")
 "${pip[@]}" setuptools wheel
 # Without isolation the build uses the pinned setuptools instead of fetching the newest one.
-"${pip[@]}" --no-build-isolation --editable '.[cluster,operator,plots,ros,test,video]'
+"${pip[@]}" --no-build-isolation --editable '.[cluster,datagrams,operator,plots,ros,test,video]'
 
 if ! "$venv/bin/python" -c 'import rclpy' 2> /dev/null; then
   echo "setup: no wheels of ROS 2 for $(uname -sm): everything works except the node and player;" \

@@ -36,6 +36,7 @@ from sph_stab_ros.operator.addresses import own_address
 from sph_stab_ros.ros.starting import start_ros
 
 if TYPE_CHECKING:
+    from sph_stab_ros.operator.datagrams import Datagrams
     from sph_stab_ros.operator.listening import Listener
     from sph_stab_ros.operator.server import OperatorServer
     from sph_stab_ros.operator.video import Video
@@ -165,7 +166,8 @@ async def serve(args: Namespace) -> None:
     warn = ThrottledLog(LOG.warning).warn
     encoding = None if args.encoder == NONE else video(warn, args.encoder)
     server = OperatorServer(robot, Access(args.host, token), Recorder(args.recordings, warn), warn,
-                            args.browsers, encoding)
+                            args.browsers, encoding,
+                            datagrams(warn) if tls and encoding else None)
     if tls and tls.authority_pem:
         server.files.offer(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
     try:
@@ -200,6 +202,19 @@ def video(warn: Callable[[str, str], object], encoder: str) -> 'Video | None':
         if error.name != 'av':
             raise
     LOG.info('pictures go out as JPEG: video %s, with libx264', INSTALL)
+    return None
+
+
+def datagrams(warn: Callable[[str, str], object]) -> 'Datagrams | None':
+    """Return another way for video, or None where there is none, with a line in the log."""
+    try:
+        from sph_stab_ros.operator.datagrams import Datagrams
+        return Datagrams(warn)
+    except ImportError as error:
+        if error.name != 'aioquic':
+            raise
+    LOG.info("lost packets hold video up: it needs pip install 'sph_stab_ros[datagrams]' against "
+             'that')
     return None
 
 

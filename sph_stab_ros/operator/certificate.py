@@ -36,6 +36,8 @@ AUTHORITY, LEAF = 'authority.pem', 'certificate.pem'
 AUTHORITY_LIFE = timedelta(days=3650)
 # Apple's systems take none that lives longer; a new one is made a month before its end.
 LEAF_LIFE, LEAF_REST = timedelta(days=397), timedelta(days=30)
+# Of one that a browser trusts by its hash: 14 days at most (W3C, WebTransport).
+BRIEF_LIFE = timedelta(days=13)
 # Clocks differ.
 BACKDATED = timedelta(days=1)
 # Of local networks (RFC 1918, 3927, 4193, 4291): for others the authority cannot vouch.
@@ -76,6 +78,14 @@ def own_identity(folder: Path, names: Collection[str],
         _write(folder / LEAF, leaf, key)
     return Identity(folder / LEAF, fingerprint(leaf),
                     authority.public_bytes(serialization.Encoding.PEM), fingerprint(authority))
+
+
+def new_brief_identity() -> tuple[x509.Certificate, Key]:
+    """Return a certificate, and its key, for those alone who are told its hash."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = _name('sph_stab_ros operator')
+    return _builder(key, name, name, BRIEF_LIFE).serial_number(
+        x509.random_serial_number()).sign(key, hashes.SHA256()), key
 
 
 def fingerprint(certificate: x509.Certificate) -> str:

@@ -12,6 +12,7 @@ from asyncio import Event
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from time import monotonic
+from typing import Protocol
 
 from sph_stab_ros.operator.flow import Flow, StillFlow, VideoFlow
 from sph_stab_ros.operator.listening import Allowance
@@ -22,6 +23,16 @@ MESSAGES_PER_S = 300.
 BURST = 600.
 # Rate and latency are those of so much time.
 WINDOW_S = 2.0
+
+
+class PictureWay(Protocol):
+    """Another way for pictures than the WebSocket's."""
+
+    def send(self, sequence: int, message: bytes, is_key: bool) -> None:
+        """Send a picture of a video."""
+
+    def close(self) -> None:
+        """End."""
 
 
 class Client:
@@ -40,6 +51,7 @@ class Client:
         self.link: Link | None = None
         # Whether something that it asked for is still being done.
         self.busy = False
+        self.datagrams: PictureWay | None = None
         self._clock = clock
         self._wake = Event()
         self.video = VideoFlow(self._wake.set, clock) if wants_video else None
@@ -62,9 +74,25 @@ class Client:
             while self._texts:
                 yield self._texts.pop(next(iter(self._texts)))
             if numbered := self.flow.next_picture():
-                yield picture_message(*numbered)
+                sequence, picture = numbered
+                message = picture_message(sequence, picture)
+                if self.datagrams:
+                    self.datagrams.send(sequence, message, picture.chunk == 'key')
+                else:
+                    yield message
                 # A text may have come meanwhile.
                 self._wake.set()
+
+    def take_way(self, datagrams: PictureWay | None) -> None:
+        """Send pictures another way, or by messages again; what is on its way is lost."""
+        self.datagrams = datagrams
+        if self.video:
+            self.video.change_way()
+
+    def arrived(self, sequence: int, newest: int) -> None:
+        """Note that pictures have come by datagrams."""
+        if self.video:
+            self.video.arrived(sequence, newest)
 
     def drawn(self, sequence: int) -> None:
         """Note that a picture is drawn, and those before it are drawn or skipped."""

@@ -96,7 +96,8 @@ class VideoFlow:
         self.takes_camera = True
         # Whether it has all that the next picture needs.
         self._in_step = False
-        self._key_s = -inf
+        # The last key picture, and when it was encoded.
+        self._key, self._key_s = 0, -inf
         self._waiting: Numbered | None = None
         # When each was sent.
         self._undrawn: dict[int, tuple[float, Picture]] = {}
@@ -109,8 +110,12 @@ class VideoFlow:
         if not self._undrawn:
             return True
         oldest_s = self._clock() - next(iter(self._undrawn.values()))[0]
-        most_s = UNKNOWN_DELAY_S if self.rate.base_s is None else self.rate.base_s + MAX_QUEUE_S
-        return oldest_s < most_s and len(self._undrawn) < MAX_VIDEO_UNDRAWN
+        return oldest_s < self._patience_s and len(self._undrawn) < MAX_VIDEO_UNDRAWN
+
+    @property
+    def _patience_s(self) -> float:
+        """Return how long a picture may take until the news that it is drawn."""
+        return UNKNOWN_DELAY_S if self.rate.base_s is None else self.rate.base_s + MAX_QUEUE_S
 
     @property
     def is_in_step(self) -> bool:
@@ -133,7 +138,7 @@ class VideoFlow:
             self._in_step = False
             self.rate.stalled()
         elif picture.chunk == 'key':
-            self._in_step = True
+            self._in_step, self._key = True, sequence
             # The camera's cost no other browser anything.
             self._key_s = self._key_s if picture.codec else self._clock()
         if self._in_step:
@@ -147,6 +152,26 @@ class VideoFlow:
             sequence, picture = numbered
             self._undrawn[sequence] = self._clock(), picture
         return numbered
+
+    def arrived(self, sequence: int, newest: int) -> None:
+        """
+        Note what has come of pictures that may get lost: all up to one, and the newest that has.
+
+        Where these differ one between is lost, and no key picture was sent behind the newest. Of
+        those behind it nobody knows, but that they had time enough.
+        """
+        sent_by_s = self._clock() - self._patience_s
+        lost = [later for later, (sent_s, _) in self._undrawn.items()
+                if later > sequence and (later <= newest or sent_s < sent_by_s)]
+        for later in lost:
+            del self._undrawn[later]
+        if lost and max(lost) >= self._key:
+            self._in_step = False
+
+    def change_way(self) -> None:
+        """Note that pictures take another way from now on; what is on its way does not count."""
+        self._undrawn.clear()
+        self._in_step, self._key_s = False, -inf
 
     def acknowledge(self, sequence: int) -> Picture | None:
         """Note that a picture, and those before it, are drawn or will not be; return it."""

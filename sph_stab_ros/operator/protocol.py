@@ -11,7 +11,7 @@ What server and page say to each other over the WebSocket.
 
 To the page: pictures as binary messages, a header of JSON and the image file behind it
 (``picture_message``); everything else as JSON texts with a ``type``: ``state``, ``notice``,
-``echo``.
+``echo``, ``datagrams``.
 
 From the page: JSON texts, each one of the commands below; whatever else is a ProtocolError.
 """
@@ -50,6 +50,22 @@ class Drawn:
 @dataclass(frozen=True)
 class Skipped(Drawn):
     """The page cannot draw this picture; another one may come."""
+
+
+@dataclass(frozen=True)
+class Arrived(Drawn):
+    """
+    What has come by datagrams: all up to a picture can be used.
+
+    The ``newest`` that is here whole is another one where it needs a picture that has got lost.
+    """
+
+    newest: int
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        super().__post_init__()
+        Drawn(self.newest)
 
 
 @dataclass(frozen=True)
@@ -145,12 +161,12 @@ class Link:
 
 
 Command: TypeAlias = (
-    Drawn | Skipped | NeedKey | Echo | Look | TakeControl | ResetHeading | Level | SetMode
-    | Record | Link)
+    Drawn | Skipped | Arrived | NeedKey | Echo | Look | TakeControl | ResetHeading | Level
+    | SetMode | Record | Link)
 
 COMMANDS: dict[str, type[Command]] = {
-    'drawn': Drawn, 'skipped': Skipped, 'need_key': NeedKey, 'echo': Echo, 'look': Look,
-    'take_control': TakeControl, 'reset_heading': ResetHeading, 'level': Level,
+    'drawn': Drawn, 'skipped': Skipped, 'arrived': Arrived, 'need_key': NeedKey, 'echo': Echo,
+    'look': Look, 'take_control': TakeControl, 'reset_heading': ResetHeading, 'level': Level,
     'set_mode': SetMode, 'record': Record, 'link': Link}
 
 

@@ -27,11 +27,12 @@ from sph_stab_ros.operator.operated_robot import OperatedRobot, RobotError, Watc
 from sph_stab_ros.operator.page_files import add_headers, PageFiles
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import (
-    Command, Drawn, Echo, Level, Link, Look, MAX_MESSAGE_BYTES, NeedKey, parse_command,
+    Arrived, Command, Drawn, Echo, Level, Link, Look, MAX_MESSAGE_BYTES, NeedKey, parse_command,
     ProtocolError, Record, ResetHeading, SetMode, Skipped, TakeControl, text_message)
 from sph_stab_ros.operator.recorder import Recorder
 
 if TYPE_CHECKING:
+    from sph_stab_ros.operator.datagrams import Datagrams
     from sph_stab_ros.operator.video import Video
 
 MAX_CLIENTS = 5
@@ -55,18 +56,20 @@ class OperatorServer:
         Logs a text; the kind of event comes before it, so that a flood can be held back.
     video
         Where there is one, for browsers that take it in place of files.
+    datagrams
+        Where there are any, another way for video, which is always encrypted.
 
     """
 
     def __init__(self, robot: OperatedRobot, access: Access, recorder: Recorder,
                  warn: Callable[[str, str], object], max_clients: int = MAX_CLIENTS,
-                 video: 'Video | None' = None) -> None:
+                 video: 'Video | None' = None, datagrams: 'Datagrams | None' = None) -> None:
         self._robot = robot
         self._recorder = recorder
         self._access = access
         self._warn = warn
         self._max_clients = max_clients
-        self._video = video
+        self._video, self._datagrams = video, datagrams
         self.files = PageFiles(access, warn)
         self._guard = ConnectionGuard()
         self._browsers: dict[Client, BrowserSocket] = {}
@@ -88,6 +91,12 @@ class OperatorServer:
         listener = await Listener.start(
             runner, host, port, tls,
             lambda name: self._warn('dropped', f'{name} dropped: too much data'))
+        if self._datagrams:
+            try:
+                await self._datagrams.start(listener.addresses, self._obey)
+            except OSError as error:
+                self._warn('datagrams', f'video goes without datagrams: {error.strerror}')
+                self._datagrams = None
         self._run(self._tell_state(listener))
         return listener
 
@@ -141,6 +150,9 @@ class OperatorServer:
         """Talk to a browser until it goes, or has to."""
         if self._video and client.video:
             self._video.add(client.video)
+        if self._datagrams and client.video:
+            client.offer_text('datagrams', text_message(
+                'datagrams', **self._datagrams.invite(client)))
         self._tell_all()
         tasks = self._run(self._send(socket, client)), self._run(self._watch(socket, client))
         try:
@@ -157,6 +169,8 @@ class OperatorServer:
                 task.cancel()
             if self._video and client.video:
                 self._video.remove(client.video)
+            if self._datagrams:
+                self._datagrams.dismiss(client)
             self._browsers.pop(client, None)
             if self._in_control is client:
                 self._in_control = None
@@ -177,7 +191,9 @@ class OperatorServer:
             socket.abort()
 
     def _obey(self, client: Client, command: Command) -> None:
-        if isinstance(command, Skipped):
+        if isinstance(command, Arrived):
+            client.arrived(command.sequence, command.newest)
+        elif isinstance(command, Skipped):
             client.skipped(command.sequence)
         elif isinstance(command, Drawn):
             client.drawn(command.sequence)
@@ -270,6 +286,8 @@ class OperatorServer:
         if self._video:
             self._video.close()
             self._video = None
+        if self._datagrams:
+            self._datagrams.close()
         for task in tuple(self._tasks):
             task.cancel()
         await asyncio.gather(*(

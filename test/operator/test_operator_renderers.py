@@ -9,10 +9,6 @@
 """What the page draws, with a graphics card and without, against the package's own warp."""
 
 from base64 import b64decode, b64encode
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
-from threading import Thread
 
 import cv2
 import numpy as np
@@ -21,8 +17,8 @@ from sph_stab_ros.geometry.warp import perspective_view, view_rotation
 from tiny_recordings import textured_sphere
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
-from graphics_cards import BLIND, NO_CARD, NO_MEMORY, SMALL_CARD  # noqa: E402, I100
-from operator_harness import chromium  # noqa: E402
+from bare_page import bare_page  # noqa: E402, I100
+from graphics_cards import BLIND, NO_CARD, NO_MEMORY, SMALL_CARD  # noqa: E402
 
 WIDTH = 512
 # No multiples of a tile; upright as a telephone, too.
@@ -80,28 +76,10 @@ PLAY = """async ([files, size, look, loseAfter]) => {
 }"""
 
 
-class Handler(SimpleHTTPRequestHandler):
-    """Serves files without a word."""
-
-    def log_message(self, *_):
-        """Say nothing."""
-
-
 @pytest.fixture(scope='module')
 def page():
-    folder = resources.files('sph_stab_ros.operator') / 'page'
-    server = ThreadingHTTPServer(('127.0.0.1', 0), partial(Handler, directory=folder))
-    Thread(target=server.serve_forever).start()
-    try:
-        with chromium() as browser:
-            page = browser.new_page()
-            page.goto(f'http://127.0.0.1:{server.server_port}/icon.svg')
-            # A document without the page's own scripts.
-            page.goto(f'http://127.0.0.1:{server.server_port}/nothing?renderer=webgl')
-            yield page
-    finally:
-        server.shutdown()
-        server.server_close()
+    with bare_page('?renderer=webgl') as page:
+        yield page
 
 
 @pytest.mark.parametrize('size_wh', SIZES_WH, ids=str)

@@ -44,16 +44,26 @@ def browser(link):
     starting.__exit__(None, None, None)
 
 
-@pytest.fixture
-def page(link, browser, tmp_path):
-    """Return the page as it shows a film by https, with its server as ``served``."""
+@pytest.fixture(params=['websocket', 'datagrams'])
+def page(link, browser, tmp_path, request):
+    """Return the page as it shows a film by https, one way or the other."""
+    def warn(kind, text):
+        pass
+
+    ways = {}
+    if request.param == 'datagrams':
+        pytest.importorskip('aioquic', reason='aioquic is not installed')
+        from sph_stab_ros.operator.datagrams import Datagrams
+        ways = {'datagrams': Datagrams(warn)}
     identity = own_identity(tmp_path, {'localhost'}, set())
-    video = Video(lambda kind, text: None)
-    with Served(token=TOKEN, tls=context(identity.file), host=link.near, video=video) as served:
+    with Served(token=TOKEN, tls=context(identity.file), host=link.near, video=Video(warn),
+                **ways) as served:
         served.file = striped_jpeg(height=480)
         page = Page(browser, f'https://{link.near}:{served.port}/?token={TOKEN}',
                     ignore_https_errors=True)
         page.wait_for_situation('stabilized')
+        client, = served.server._browsers
+        wait_until(lambda: bool(client.datagrams) == bool(ways), page.situation)
         yield page
         link.fall_silent(False)
         page.context.close()

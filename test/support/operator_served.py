@@ -49,7 +49,7 @@ class Served(Thread):
         super().__init__()
         self.state, self.late_s, self.url, self.port = State(), 0., None, None
         self.file = cv2.imencode('.jpg', np.full((64, 128, 3), 128, np.uint8))[1].tobytes()
-        self.robot, self.on, self.last_ns = None, True, 0
+        self.robot, self.server, self.on, self.last_ns = None, None, True, 0
         self._options = options
         self._ending = False
 
@@ -69,7 +69,8 @@ class Served(Thread):
 
     async def _serve(self):
         async with site(**self._options) as one:
-            self.robot, self.port, self.url = one.robot, one.port, one.url
+            self.robot, self.server = one.robot, one.server
+            self.port, self.url = one.port, one.url
             while not self._ending:
                 one.robot.state = self.state
                 now_s = asyncio.get_running_loop().time()

@@ -1,8 +1,9 @@
 // Copyright 2026 The sph_stab_ros developers
 // SPDX-License-Identifier: Apache-2.0
 
-// The WebSocket to the server; comes back by itself.
+// The WebSocket to the server; comes back by itself. A video comes by datagrams if it can.
 
+import {Datagrams} from './datagrams.js';
 import {decode} from './decoder.js';
 import {VideoStream} from './video_stream.js';
 
@@ -10,10 +11,14 @@ const FIRST_RETRY_MS = 300, LAST_RETRY_MS = 1000;
 // The server tells its state five times a second: a connection as silent as that is dead, also if
 // nobody has closed it.
 const CHECK_MS = 250, SILENT_CHECKS = 8;
+// Where pictures come by datagrams they are back sooner than a new connection could be.
+const SILENT_CHECKS_WITH_DATAGRAMS = 12;
 // In a row, of a video; one may be of a picture.
 const MAX_FAILURES = 3;
 const FULL = 1013, REFUSED = 1008, FORBIDDEN = 403;
 const MOVED = 'The address has changed: open the one that the operator command has printed.';
+// Of pictures; what is said of a later one includes those before.
+const MAY_GET_LOST = ['drawn', 'skipped'];
 // Tells the server that it is we who come back, not somebody else.
 const PAGE = Array.from(crypto.getRandomValues(new Uint32Array(4)), n => n.toString(36)).join('');
 
@@ -33,6 +38,10 @@ export class Connection {
   // Sends a command; false where there is no connection.
   send(type, values = {}) {
     if (this.socket?.readyState !== WebSocket.OPEN) return false;
+    if (MAY_GET_LOST.includes(type) && this.datagrams?.open) {
+      this.datagrams.send(type, values);
+      return true;
+    }
     this.socket.send(JSON.stringify({type, ...values}));
     return true;
   }
@@ -63,17 +72,27 @@ export class Connection {
       opened = true;
       this.handlers.open();
     });
+    const takePicture = data => {
+      this.checks = 0;
+      this.handlers.received(data.byteLength);
+      const [header, file] = parsed(data);
+      (header.chunk ? video : decoder).take(header, file);
+      return header;
+    };
     socket.onmessage = ifCurrent(({data}) => {
       this.checks = 0;
       this.retryMs = FIRST_RETRY_MS;
       if (typeof data !== 'string') {
-        this.handlers.received(data.byteLength);
-        const [header, file] = parsed(data);
-        (header.chunk ? video : decoder).take(header, file);
+        // One that is newer than those by datagrams: the server has given these up.
+        if (takePicture(data).sequence > (this.datagrams?.newest || Infinity)) this.datagrams.close();
         return;
       }
       const message = JSON.parse(data);
-      this.handlers[message.type](message);
+      if (message.type !== 'datagrams') {
+        this.handlers[message.type](message);
+      } else if (globalThis.WebTransport) {
+        this.datagrams = new Datagrams(message, ifCurrent(({buffer}) => takePicture(buffer)));
+      }
     });
     socket.onclose = ifCurrent(({code, reason}) => {
       this.#lost(code === FULL ? 'All places are taken: close the page elsewhere.'
@@ -97,13 +116,15 @@ export class Connection {
 
   // Counted, not timed: a page that was held up has not listened meanwhile.
   #check() {
-    if (!this.socket || ++this.checks < SILENT_CHECKS) return;
+    const most = this.datagrams?.open ? SILENT_CHECKS_WITH_DATAGRAMS : SILENT_CHECKS;
+    if (!this.socket || ++this.checks < most) return;
     this.socket.close();
     this.#lost('');
   }
 
   #lost(reason) {
-    this.socket = null;
+    this.datagrams?.close();
+    this.socket = this.datagrams = null;
     this.video.close();
     this.handlers.closed(reason);
     setTimeout(() => this.#open(), this.retryMs);

@@ -19,11 +19,14 @@ export class VideoStream {
   // that a key picture has to come, and maxColumns(), that an image may have.
   constructor(handlers) {
     Object.assign(this, {
-      handlers, headers: new Map(), decoder: null, codec: '', frame: null, busy: false});
+      handlers, headers: new Map(), decoder: null, codec: '', frame: null, busy: false, last: 0});
   }
 
-  // Takes the next part of the video.
+  // Takes the next part of the video; one that comes late, another way than those behind it, is
+  // left out.
   take(header, data) {
+    if (header.sequence <= this.last) return;
+    this.last = header.sequence;
     try {
       if (header.chunk === 'key') this.#configure(header.codec || CONFIG.codec);
       if (!this.decoder) {
