@@ -14,6 +14,11 @@ Subscribes to ``image/compressed`` or ``image``, ``orientation``, ``virtual_orie
 calls the services of the stabilizer node. Ends on SIGINT and SIGTERM.
 """
 
+# Before all that takes time to import.
+if __name__ == '__main__':
+    from sph_stab_ros.executable import start
+    raise SystemExit(start('operator.__main__'))
+
 from argparse import Namespace
 import asyncio
 from collections.abc import Callable, Sequence
@@ -171,7 +176,7 @@ async def serve(args: Namespace) -> None:
     if tls and tls.authority_pem:
         server.files.offer(AUTHORITY_FILE, tls.authority_pem, AUTHORITY_TYPE)
     try:
-        listener = await start(server, args.host, args.port, tls.context if tls else None)
+        listener = await listen(server, args.host, args.port, tls.context if tls else None)
         spinning = asyncio.create_task(asyncio.to_thread(spin, robot))
         base = address(args.host, listener.addresses[0][1], bool(tls))
         print(f'operator: {base}' + (f'?token={token}' if token else ''), flush=True)
@@ -218,8 +223,8 @@ def datagrams(warn: Callable[[str, str], object]) -> 'Datagrams | None':
     return None
 
 
-async def start(server: 'OperatorServer', host: str, port: int | None,
-                tls: SSLContext | None) -> 'Listener':
+async def listen(server: 'OperatorServer', host: str, port: int | None,
+                 tls: SSLContext | None) -> 'Listener':
     """Let the server listen; return where. OSError where it cannot."""
     if port is not None:
         return await server.start(host, port, tls)
@@ -246,7 +251,3 @@ def address(host: str, port: int, encrypted: bool) -> str:
         host = own_address()
     name = f'[{host}]' if ':' in host else host
     return f"http{'s' if encrypted else ''}://{name}:{port}/"
-
-
-if __name__ == '__main__':
-    sys.exit(main())

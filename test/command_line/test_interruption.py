@@ -27,8 +27,6 @@ CALLS = [(name, call) for name, (module, _) in COMMANDS.items() for call in (
     ('-c', f'from sph_stab_ros.executable import {name}; raise SystemExit({name}())'),
     ('-m', 'sph_stab_ros', name),
     ('-m', f"sph_stab_ros.{module.removesuffix('.__main__')}"))]
-# Its module is imported as a whole.
-CALLS.remove(('operator', ('-m', 'sph_stab_ros.operator')))
 
 
 @pytest.mark.parametrize('name, call', CALLS)
