@@ -209,8 +209,6 @@ class NodeConfig(StabilizerConfig):
     def __post_init__(self) -> None:
         """Check each option's value, and that the views can be told apart."""
         super().__post_init__()
-        if self.source_rear and not self.source:
-            raise ConfigError('source_rear is of the other lens than source: name that, too')
         if not self.views or len(set(self.views)) < len(self.views):
             raise ConfigError('views are one or more different names')
         for name in self.views:

@@ -98,7 +98,7 @@ class StabilizerNode(Node):
         # orientation waits for neither.
         self._tracking = Worker('tracking', partial(self._safely, self._track))
         self._drawing = Worker('drawing', partial(self._safely, self._draw))
-        input_of = (SourceInput if config.source else
+        input_of = (SourceInput if config.source or config.source_rear else
                     ImageInput if config.join == NOT_JOINED else JoinedInput)
         self._images = input_of(self, config, self._tracking.put, self._diagnostics)
         self._imu = ImuInput(self, self._stabilizer.add_imu_samples, self._diagnostics)

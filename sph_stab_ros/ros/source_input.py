@@ -19,7 +19,6 @@ from sph_stab_ros.live.address import Address, address_of, file_of, Kind, PLAYED
 from sph_stab_ros.live.joined import source_of
 from sph_stab_ros.live.source import LivePicture
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.containers.kinds import kind_of, refuse_if_known
 from sph_stab_ros.recording.spherical import boxes_say, InBoxes, layout_of
 from sph_stab_ros.ros.diagnostics import Diagnostics
 from sph_stab_ros.ros.image_input import ReceivedImage
@@ -29,6 +28,8 @@ def source_address(text: str, options: str) -> Address:
     """Return the Address in a text; SourceError also where it is of a file that is no video."""
     address = address_of(text, options)
     if address.kind is Kind.FILE:
+        # What reads bags is asked for by nobody else in the node.
+        from sph_stab_ros.recording.containers.kinds import kind_of, refuse_if_known
         try:
             refuse_if_known(file_of(address))
             is_bag = kind_of(file_of(address)) is not None
@@ -61,6 +62,8 @@ class SourceInput:
         self._frame_id = config.source_frame
         self._take = take
         self._diagnostics = diagnostics
+        if not config.source:
+            raise ConfigError('source_rear is of the other lens than source: name that, too')
         try:
             address = source_address(config.source, config.source_options)
             rear = (source_address(config.source_rear, config.source_options)
