@@ -173,6 +173,7 @@ def test_images_and_truth_go_out(bag_with_truth):
     assert np.allclose([msg.quaternion.z for msg in truth], np.sin(0.05 * np.arange(5)))
 
 
+@pytest.mark.slow
 def test_raw_images_are_compressed_on_demand_and_remapped(bag_with_truth):
     """--compressed, and ROS's own way to name topics."""
     with playing(bag_with_truth, '--compressed', '--ros-args', '-r', 'image/compressed:=/theta',

@@ -130,6 +130,7 @@ def test_a_result_that_is_not_whole_any_more_is_made_again(turning_bag, tmp_path
     assert trajectory.read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_one_table_over_all_that_have_truth(turning, tmp_path, capsys):
     """Asked for later, it tracks nothing again."""
     folder, out = tmp_path / 'in', tmp_path / 'out'

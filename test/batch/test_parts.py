@@ -114,6 +114,7 @@ class Killer:
                 process.send_signal(signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_task_outlives_its_process(task):
     """Another one begins from the start."""
     say = Killer(1)
@@ -125,6 +126,7 @@ def test_a_task_outlives_its_process(task):
     assert not list((task.out / '.partial').iterdir())
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_every_process_is_given_up(task):
     """With the reason, and nothing left."""
     say = Killer(100)

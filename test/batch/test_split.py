@@ -123,6 +123,7 @@ def test_segments_overlap_and_have_no_gaps(images, tmp_path):
     assert first.end_s + second.start_s == pytest.approx(16)
 
 
+@pytest.mark.slow
 def test_after_a_power_cut_the_same_call_goes_on_with_the_segments_that_are_missing(
         images, tmp_path, capsys):
     """What is whole is not done again."""
@@ -144,6 +145,7 @@ def test_after_a_power_cut_the_same_call_goes_on_with_the_segments_that_are_miss
     assert {path.name for path in out.iterdir()} == {'bag', 'failures.json', LOCK}
 
 
+@pytest.mark.slow
 def test_a_segment_that_fails_is_the_reason(images, tmp_path, capsys):
     """The recording has no result, and others have theirs."""
     folder, out = tmp_path / 'in', tmp_path / 'out'

@@ -93,7 +93,8 @@ def at_all_sizes(page, faults):
 
 @pytest.mark.parametrize('state, name', [
     (State(), 'stabilized'), (State(tracking='lost', healthy=False), 'lost'),
-    (State(healthy=False, message='no rotation found: predicted'), 'doubtful')],
+    pytest.param(State(healthy=False, message='no rotation found: predicted'), 'doubtful',
+                 marks=pytest.mark.slow)],
     ids=['ok', 'lost', 'doubtful'])
 def test_everything_is_on_the_screen(served, page, browser, state, name):
     """Also for who watches, and when the pictures are late."""

@@ -272,6 +272,7 @@ def test_a_wrong_token_gets_403(robot, browser):
     assert TOKEN in robot.address
 
 
+@pytest.mark.slow
 def test_node_and_server_come_back_by_themselves(robot, page):
     robot.stop('stabilizer', signal.SIGKILL)
     page.wait_for_situation('unstabilized')

@@ -129,6 +129,7 @@ def test_pictures_and_orientations_belong_together(robot, pictures):
     assert len({header['stamp_ns'] for header, _ in got}) == len(got)
 
 
+@pytest.mark.slow
 def test_the_virtual_camera_is_the_node_s_whenever_the_server_comes(tmp_path):
     """It has turned with the camera for a while; what it was turned by, the node knows."""
     domain, smoothing = next(DOMAINS), SmoothingConfig('follow', 5.)
