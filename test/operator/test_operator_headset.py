@@ -304,9 +304,13 @@ def test_the_session_ends_cleanly(served, wearer):
 
 @pytest.mark.slow
 def test_a_card_that_fails_in_the_headset_leaves_the_page(wearer):
+    # The session takes its time to end: more pictures come meanwhile.
     wearer.page.evaluate(
-        """() => { WebGL2RenderingContext.prototype.texImage2D = () => {
-            throw new Error('no memory'); }; }""")
+        """() => {
+            const session = window.worn.activeSession, end = session.end.bind(session);
+            session.end = () => new Promise(ended => setTimeout(() => ended(end()), 1000));
+            WebGL2RenderingContext.prototype.texImage2D = () => { throw new Error('no memory'); };
+        }""")
     wait_until(lambda: 'The headset has stopped: no memory'
                in wearer.page.text_content('#notice'), wearer.situation)
     wearer.wait_for_situation('stabilized')

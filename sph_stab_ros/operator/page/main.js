@@ -58,7 +58,7 @@ function requestDraw() {
     try {
       draw();
     } catch (error) {
-      Object.assign(state, {failure: error.message, pictureAt: null});
+      pictures.fail(error.message);
     }
   });
 }
@@ -186,6 +186,7 @@ async function toggleHeadset() {
 function leaveHeadset({yaw, pitch}, reason) {
   if (reason) showNotice(`The headset has stopped: ${reason}`, false);
   look.turnTo(yaw, pitch);
+  pictures.fail('');
   showHeadset();
 }
 
@@ -199,8 +200,7 @@ function showHeadset() {
 }
 
 function toggleSensor() {
-  if (sensor.active) sensor.stop();
-  else sensor.start();
+  if (sensor.active) sensor.stop(); else sensor.start();
   showSensor();
 }
 

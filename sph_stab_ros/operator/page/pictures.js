@@ -7,7 +7,7 @@ export class Pictures {
   // state: the page's, which is told of them. send(command, values): to the server. seen(picture):
   // called for each that is on display.
   constructor(state, send, seen) {
-    Object.assign(this, {state, send, seen, waiting: null});
+    Object.assign(this, {state, send, seen, waiting: null, loaded: null});
   }
 
   // Takes a picture over; tells whether there is one to draw.
@@ -40,6 +40,7 @@ export class Pictures {
       return null;
     }
     Object.assign(picture, {width, height});
+    this.loaded = picture;
     renderer.load(picture.image);
     // Without an orientation the last one has to do.
     Object.assign(state, picture.orientation, {
@@ -48,8 +49,16 @@ export class Pictures {
     return picture;
   }
 
+  // Whoever was to draw has failed: the server waits for news of what was loaded.
+  fail(reason) {
+    if (reason) Object.assign(this.state, {failure: reason, pictureAt: null});
+    if (this.loaded) this.send('skipped', {sequence: this.loaded.sequence});
+    this.loaded = null;
+  }
+
   // What load() has returned is drawn, or there is nothing to see of it.
   done(picture, shown) {
+    this.loaded = null;
     if (shown) {
       Object.assign(this.state, {failure: '', pictureAt: performance.now()});
       this.seen(picture);
