@@ -25,7 +25,7 @@ if grep -q '^numpy==1' "$constraints"; then
     fail "NumPy 1.26 has no wheels for Python $version; name a 3.10 to 3.12 with PYTHON=..."
 fi
 
-echo "Building $venv with Python $version (a download of 220 MB, 890 MB on disk) ..."
+echo "Building $venv with Python $version (a download of 220 MB, 1.1 GB on disk) ..."
 export PIP_DISABLE_PIP_VERSION_CHECK=1
 "$python" -m venv --clear "$venv"
 pip=("$venv/bin/python" -m pip install --quiet --constraint "$constraints")
