@@ -21,7 +21,7 @@ export AMENT_PREFIX_PATH = $(CURDIR)/.venv
 
 .PHONY: help setup demo test test-fast test-slow test-oldest fuzz coverage ledger evaluation
 .PHONY: evaluation-real evaluation-offline evaluation-hard evaluation-rolling company evaluation-company benchmark
-.PHONY: ablation benchmark-batch benchmark-company benchmark-ros soak stated-tables docs frames bags hard-frames hard constraints packages clean
+.PHONY: ablation benchmark-batch benchmark-before benchmark-company benchmark-ros soak stated-tables docs frames bags hard-frames hard constraints packages clean
 
 help:  ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-19s%s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -158,6 +158,20 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware, an
 	  else echo "without root the page is not measured over a bad link"; fi; \
 	else echo "without chromium the operator's page is not measured"; fi
 	$(PAGE_TABLES) results/benchmark-ros docs/node.md docs/benchmark.md docs/operator.md
+
+BEFORE ?= HEAD~1
+
+benchmark-before: setup  ## Stages, pipelines and node at the commit BEFORE and now, one after the other
+	rm -rf results/before
+	git worktree prune
+	git worktree add --detach results/before $(BEFORE)
+	cd results/before && $(CURDIR)/$(PY) setup.py -q build_ext --inplace
+	for tree in $(CURDIR)/results/before $(CURDIR); do echo "$$tree:"; cd $$tree || exit 1; \
+	  export PYTHONPATH=$$tree; \
+	  $(CURDIR)/$(PY) -m sph_stab_ros.benchmark --parts times --widths 960,1920 && \
+	  $(CURDIR)/$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml || exit 1; \
+	done
+	git worktree remove --force results/before
 
 benchmark-batch: setup  ## What an hour of footage costs batch, and what segments do; minutes
 	mkdir -p results/benchmark-batch
