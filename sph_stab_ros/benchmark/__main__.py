@@ -22,7 +22,6 @@ if __name__ == '__main__':
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
-import json
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
@@ -40,7 +39,7 @@ from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.recording import decoded_frames, open_recording, Recording, RecordingError
-from sph_stab_ros.recording.partial_output import partial_output
+from sph_stab_ros.recording.partial_output import write_json
 from sph_stab_ros.tracking import working_width
 
 from tqdm import tqdm
@@ -247,8 +246,7 @@ def benchmark(args: Namespace) -> None:
         figures['targets'] = [dict(zip(('what', 'target', 'measured', 'met'), row))
                               for row in rows]
     if args.json:
-        with partial_output(args.json, force=True) as path:
-            path.write_text(json.dumps(figures, indent=2) + '\n')
+        write_json(args.json, figures)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -29,7 +29,7 @@ from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.arguments import file_argument, whole_number
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
-from sph_stab_ros.recording.partial_output import partial_output
+from sph_stab_ros.recording.partial_output import write_json
 from sph_stab_ros.recording.video_writer import VideoWriter
 
 HOUR_FRAMES = 3600 * 30
@@ -131,8 +131,7 @@ def benchmark(args: Namespace) -> None:
     for name, one in figures['split'].items():
         print(f'{name}: {sum(one["cpu_s"]):.1f} s of CPU, {one["geodesic_deg"]["mean"]:.3f}°')
     if args.json:
-        with partial_output(args.json, force=True) as path:
-            path.write_text(json.dumps(figures, indent=2) + '\n')
+        write_json(args.json, figures)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

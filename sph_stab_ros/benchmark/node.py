@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-import json
 import multiprocessing
 import os
 from pathlib import Path
@@ -45,7 +44,7 @@ from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.player import Player
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.partial_output import partial_output
+from sph_stab_ros.recording.partial_output import write_json
 
 PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 NAMESPACE = 'benchmark'
@@ -251,9 +250,7 @@ def benchmark(args: Namespace) -> None:
     if args.json:
         # The first scenario's figures stand for the whole.
         headline = next(iter(results.values()))
-        with partial_output(args.json, force=True) as path:
-            path.write_text(json.dumps({**about, **headline, 'scenarios': results}, indent=2)
-                            + '\n')
+        write_json(args.json, {**about, **headline, 'scenarios': results})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

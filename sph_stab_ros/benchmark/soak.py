@@ -21,7 +21,6 @@ than MAX_GROWTH of where it starts. Runs of less than five minutes do not judge 
 from argparse import Namespace
 from collections.abc import Sequence
 from itertools import cycle
-import json
 from pathlib import Path
 import sys
 from time import monotonic
@@ -39,7 +38,7 @@ from sph_stab_ros.command_line.processes import memory_mb, running
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.partial_output import partial_output
+from sph_stab_ros.recording.partial_output import write_json
 from sph_stab_ros.stabilization.imu import NOT_MEASURED
 from sph_stab_ros.stabilization.level import GRAVITY_M_S2
 from std_msgs.msg import Header
@@ -213,8 +212,7 @@ def command(args: Namespace) -> bool:
     report = summary(seen, statuses)
     lines = failures(report)
     if args.json:
-        with partial_output(args.json, force=True) as path:
-            path.write_text(json.dumps({**report, 'failed': lines}, indent=2) + '\n')
+        write_json(args.json, {**report, 'failed': lines})
     for line in lines:
         print(f'soak: {line}', file=sys.stderr)
     memory = (f"{report['memory_mb']:.0f} MB {report['memory_growth_mb']:+.1f} MB"

@@ -46,7 +46,7 @@ from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.live.capture_clock import SENDER
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
-from sph_stab_ros.recording.partial_output import partial_output
+from sph_stab_ros.recording.partial_output import write_json
 
 if TYPE_CHECKING:
     import av
@@ -217,8 +217,8 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
     parser.add_argument('--view', action='store_true',
                         help='subscribe to the view of 960x540 too, as JPEG')
     parser.add_argument('--add-to', metavar='FILE', type=Path,
-                        help=f"add all figures to those in a JSON file, as '{KEY}', or "
-                             f"'{KEY}_view' with --view")
+                        help=f"add all figures to those in a JSON file, as '{KEY}_PX', or "
+                             f"'{KEY}_PX_view' with --view")
     args = parser.parse_args(argv)
     if not (args.rate > 0 and args.width > 0 and args.width % 4 == 0):
         parser.error('--rate is positive, --width a multiple of four')
@@ -240,8 +240,7 @@ def benchmark(args: Namespace) -> None:
     if args.add_to:
         others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
         key = f'{KEY}_{args.width}' + ('_view' if args.view else '')
-        with partial_output(args.add_to, force=True) as path:
-            path.write_text(json.dumps({**others, key: result}, indent=2) + '\n')
+        write_json(args.add_to, {**others, key: result})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

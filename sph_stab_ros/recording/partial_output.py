@@ -15,6 +15,7 @@ moved out of it when it is whole.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+import json
 import logging
 import os
 from pathlib import Path
@@ -48,6 +49,12 @@ def partial_output(path: str | Path, force: bool = False, holds: Sequence[str] =
                 yield partial
     except OSError as error:
         raise RecordingError(f'{path} cannot be written: {error.strerror or error}') from error
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write content as JSON, whole, over what was there; RecordingError where that cannot be."""
+    with partial_output(path, force=True) as partial:
+        partial.write_text(json.dumps(content, indent=2) + '\n')
 
 
 def refuse_to_replace(path: Path, force: bool, holds: Sequence[str]) -> None:
