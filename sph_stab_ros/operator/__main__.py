@@ -218,8 +218,8 @@ def datagrams(warn: Callable[[str, str], object]) -> 'Datagrams | None':
     except ImportError as error:
         if error.name != 'aioquic':
             raise
-    LOG.info("lost packets hold video up: it needs pip install 'sph_stab_ros[datagrams]' against "
-             'that')
+    LOG.info('where packets get lost video will wait for them: pip install '
+             "'sph_stab_ros[datagrams]' mends that")
     return None
 
 

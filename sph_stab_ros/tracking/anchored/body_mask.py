@@ -67,7 +67,7 @@ class BodyMask:
         self.mask = np.zeros(self._happened.shape, bool)
 
     def update(self, small: Grey, R_current_previous: Rotation | None) -> None:
-        """Take in the next grey sphere, of its own size; without a rotation it is the first."""
+        """Take in the next grey sphere, of the mask's size; without a rotation it is the first."""
         options = self._options
         blurred = cv2.GaussianBlur(
             pad_sphere(small.astype(np.float32), MARGIN_PX), (0, 0), options.blur_px)

@@ -80,7 +80,11 @@ def pose_and_point_equations(window: Window, R: Matrix, p: Vectors, rho: Values,
 
 
 def eliminated(H_rp: Floats, H_rr: Values) -> Floats:
-    """Return ``H_rpᵀ diag(H_rr)⁻¹ H_rp``, what points take from the keyframes' equations."""
+    """
+    Return what points take from the keyframes' equations: ``H_rpᵀ diag(H_rr)⁻¹ H_rp`` (C, C).
+
+    Of H_rp (P, C) and H_rr (P,), P points and C columns of keyframes.
+    """
     # A product with itself takes half of the time.
     by_point = H_rp / np.sqrt(H_rr)[:, None]
     return by_point.T @ by_point
