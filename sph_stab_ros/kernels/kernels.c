@@ -27,6 +27,8 @@
 // As in patches.py.
 #define SAMPLES 11
 #define PIXELS (SAMPLES * SAMPLES)
+// Of a line of the cache.
+#define LINE_FLOATS 16
 
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && __GNUC__ >= 12
 // By what a processor can, whoever made it: "arch=haswell" would be Intel's alone.
@@ -382,11 +384,12 @@ static void expand(const double b[3], const double *tangents[2], double lon[6], 
 
 // Read an image bilinearly at up to PIXELS pixels, moved by du and dv; its edge goes on for ever.
 // Several loops, because compilers make vectors of all but the one in the middle.
+// Numbers are stored with their lowest byte first.
 INLINE void read_some(int n, const uint8_t *image, int height, int width, const float *u,
                       const float *v, float du, float dv, float *grey) {
   int index[PIXELS];
   float right[PIXELS], down[PIXELS];
-  uint8_t above[PIXELS][2], below[PIXELS][2];
+  uint32_t above[PIXELS], below[PIXELS];
   for (int k = 0; k < n; k++) {
     const float column = fminf(fmaxf(u[k] + du, 0), width - 1.001f);
     const float row = fminf(fmaxf(v[k] + dv, 0), height - 1.001f);
@@ -397,12 +400,15 @@ INLINE void read_some(int n, const uint8_t *image, int height, int width, const 
   }
   for (int k = 0; k < n; k++) {
     const uint8_t *pixel = image + index[k];
-    memcpy(above[k], pixel, 2);
-    memcpy(below[k], pixel + width, 2);
+    // Four bytes, of which two count: the last two below, which may be the picture's last ones.
+    memcpy(above + k, pixel, 4);
+    memcpy(below + k, pixel + width - 2, 4);
   }
   for (int k = 0; k < n; k++) {
-    const float upper = above[k][0] + right[k] * (above[k][1] - above[k][0]);
-    const float lower = below[k][0] + right[k] * (below[k][1] - below[k][0]);
+    const int left_above = above[k] & 255, right_above = above[k] >> 8 & 255;
+    const int left_below = below[k] >> 16 & 255, right_below = below[k] >> 24;
+    const float upper = left_above + right[k] * (right_above - left_above);
+    const float lower = left_below + right[k] * (right_below - left_below);
     grey[k] = upper + down[k] * (lower - upper);
   }
 }
@@ -413,6 +419,12 @@ void read_pixels(int n, const uint8_t *image, int height, int width, const float
                  const float *v, float *grey) {
   for (int i = 0; i < n; i += PIXELS)
     read_some(n - i < PIXELS ? n - i : PIXELS, image, height, width, u + i, v + i, 0, 0, grey + i);
+}
+
+// Fetch what a patch is compared with.
+INLINE void fetch_patch(int64_t patch, const float *templates, const float *solvers) {
+  for (int k = 0; k < PIXELS; k += LINE_FLOATS) FETCH(templates + patch * PIXELS + k);
+  for (int k = 0; k < 2 * PIXELS; k += LINE_FLOATS) FETCH(solvers + patch * 2 * PIXELS + k);
 }
 
 // One level of Patches.find. Templates (., levels, PIXELS), deviations (., levels) and solvers
@@ -456,6 +468,8 @@ void settle_patches(
     const int64_t patch = rows[i] * levels + level;
     const float *template = templates + patch * PIXELS, deviation = deviations[patch];
     const float *along_east = solvers + patch * 2 * PIXELS, *along_south = along_east + PIXELS;
+    // While this one is aligned; there are too many to stay in the fastest cache.
+    if (i + 1 < n) fetch_patch(rows[i + 1] * levels + level, templates, solvers);
     float moved_east = 0, moved_south = 0, difference = 0, length = 0;
     for (int iteration = 0; iteration < iterations; iteration++) {
       const float du = lon[1] * moved_east + lon[2] * moved_south;
