@@ -186,24 +186,21 @@ def test_an_edge_tells_nothing_of_what_is_along_it():
 
 @dataclass
 class Table(Table):
-    """Table with rows in them."""
+    """A number and a matrix per row."""
 
     value: np.ndarray
     matrix: np.ndarray
-    patches: Patches
 
 
 def table():
     rng = np.random.default_rng(8)
-    return Table(np.arange(12), rng.normal(size=(12, 2, 3)), cut(picture())[1][:12])
+    return Table(np.arange(12), rng.normal(size=(12, 2, 3)))
 
 
 def assert_same(one, other):
     assert len(one) == len(other)
     np.testing.assert_array_equal(one.value, other.value)
     np.testing.assert_array_equal(one.matrix, other.matrix)
-    for name in ('templates', 'deviations', 'solvers', 'sqrt_information_px'):
-        np.testing.assert_array_equal(getattr(one.patches, name), getattr(other.patches, name))
 
 
 @pytest.mark.parametrize('cuts', ((0,), (5,), (12,), (3, 3, 9)))
@@ -221,4 +218,4 @@ def test_rows_are_selected_by_number_and_by_truth():
     assert_same(whole[order][np.argsort(order)], whole)
     odd = whole.value % 2 == 1
     assert_same(whole[odd], whole[np.flatnonzero(odd)])
-    assert whole[odd].patches.templates[0, 0, 0] == whole.patches.templates[1, 0, 0]
+    assert whole[odd].matrix[0, 0, 0] == whole.matrix[1, 0, 0]

@@ -9,28 +9,27 @@
 """Tables whose columns are arrays."""
 
 from collections.abc import Sequence
-from dataclasses import Field, fields
-from typing import Any, ClassVar, TypeVar
+from typing import TypeVar
 
 import numpy as np
+
+from sph_stab_ros.geometry.arrays import Choice, Indices
 
 Rows = TypeVar('Rows', bound='Table')
 
 
 class Table:
-    """A dataclass of arrays of one length, or of other Table: selected and joined row by row."""
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+    """A dataclass of arrays of one length: selected and joined row by row."""
 
     def __len__(self) -> int:
-        return len(getattr(self, fields(self)[0].name))
+        return len(next(iter(vars(self).values())))
 
-    def __getitem__(self: Rows, index: Any) -> Rows:
-        return type(self)(*(getattr(self, one.name)[index] for one in fields(self)))
+    def __getitem__(self: Rows, which: Choice | Indices | slice) -> Rows:
+        # NumPy takes rows by number in a third of the time of indexing each column.
+        rows = np.arange(len(self))[which]
+        return type(self)(*(column.take(rows, axis=0) for column in vars(self).values()))
 
     @classmethod
     def joined(cls: type[Rows], tables: Sequence[Rows]) -> Rows:
         """Return the rows of several tables in one."""
-        columns = ([getattr(table, one.name) for table in tables] for one in fields(cls))
-        return cls(*(type(parts[0]).joined(parts) if isinstance(parts[0], Table)
-                     else np.concatenate(parts) for parts in columns))
+        return cls(*map(np.concatenate, zip(*(vars(table).values() for table in tables))))
