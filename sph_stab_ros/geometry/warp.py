@@ -18,7 +18,9 @@ same map of 1920×960; with OpenCV they are two, in 1.4 times that.
 """
 
 from collections.abc import Callable
-from functools import lru_cache
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, lru_cache
+import os
 from typing import TypeVar
 
 import cv2
@@ -35,6 +37,8 @@ Element = TypeVar('Element', bound=np.generic)
 
 # Larger cells have fewer nodes but larger surroundings of the poles to compute exactly.
 CELL_PX = 6
+# Fewer rows are not worth another thread.
+ROWS_PER_THREAD = 120
 # Cells computed exactly at a time; OpenCV takes no more than 32766 rows.
 BATCH_CELLS = 1 << 12
 
@@ -138,11 +142,21 @@ class InverseWarp:
     def _read_compiled(self, image: Raster, u: Plane, v: Plane, uneven: Mask,
                        xyz: tuple[Plane, Plane, Plane]) -> Raster:
         """Return the target of an equirectangular image: all of the below, in one pass."""
-        width, height = self.size_wh
+        (width, height), cell = self.size_wh, self._cell_px
         target = np.empty((height, width, *image.shape[2:]), np.uint8)
-        kernels.library.warp_equirect(
-            self._columns, self._cell_px, u, v, uneven, *xyz, *image.shape[:2],
-            image[0, 0].size, image, height, width, target)
+
+        def read(first: int, last: int) -> None:
+            band, nodes = target[first * cell:last * cell], slice(first, last + 1)
+            kernels.library.warp_equirect(
+                self._columns, cell, u[nodes], v[nodes], uneven[first:last],
+                *(one[nodes] for one in xyz), *image.shape[:2], image[0, 0].size, image,
+                len(band), width, band)
+
+        # As many threads as cv2.remap would take.
+        bands = max(min(cv2.getNumThreads(), height // ROWS_PER_THREAD), 1)
+        edges = np.linspace(0, self._rows, bands + 1).astype(int)
+        each = _threads().map if bands > 1 else map
+        list(each(read, edges[:-1], edges[1:]))
         return target
 
     def _interpolated(self, image: Raster, u: Plane, v: Plane, border: int) -> Raster:
@@ -169,6 +183,15 @@ class InverseWarp:
                 @ self._corner_weights for one in xyz]
             values = projection.read(image, *between)
             by_cells[i, j] = values.reshape(len(i), cell, -1).view(in_rows)[..., 0]
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix='warp')
+
+
+# A forked process has none of them.
+os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 @lru_cache(maxsize=8)

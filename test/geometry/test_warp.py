@@ -73,6 +73,21 @@ def test_targets_may_have_any_size(size_wh):
     np.testing.assert_array_equal(warp(sphere, Rotation.identity()), expected)
 
 
+@pytest.mark.parametrize('size_wh', ((640, 320), (101, 499), (61, 45)))
+def test_threads_make_no_difference(size_wh):
+    warp = InverseWarp(lambda uv: bearings_from_pixels(uv, 640), size_wh)
+    sphere, threads_before = smooth_sphere(640), cv2.getNumThreads()
+    try:
+        seen = []
+        for threads in (1, 2, 5):
+            cv2.setNumThreads(threads)
+            seen.append(warp(sphere, ROTATIONS[1]))
+    finally:
+        cv2.setNumThreads(threads_before)
+    np.testing.assert_array_equal(seen[1], seen[0])
+    np.testing.assert_array_equal(seen[2], seen[0])
+
+
 @pytest.mark.parametrize('R', ROTATIONS)
 def test_the_warp_shows_what_a_turned_camera_sees(R):
     """The seam and the poles of source and target lie anywhere in these."""
