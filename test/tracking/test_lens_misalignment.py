@@ -58,7 +58,8 @@ def test_what_is_well_stitched_is_left_alone():
 
 def test_what_is_not_known_of_the_lenses_grows_with_the_turn():
     lenses = Lenses(LensOptions())
-    sigmas = [np.sqrt(lenses.covariance(Rotation.from_rotvec((0, angle, 0)))[0, 0])
+    sigmas = [np.sqrt(lenses.covariance(
+        Rotation.from_rotvec((0, angle, 0)).as_matrix())[0, 0])
               for angle in (0, 0.5, 1, 3)]
     assert sigmas[0] == 0
     assert (np.diff(sigmas) > 0).all()

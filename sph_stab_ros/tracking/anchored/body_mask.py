@@ -101,20 +101,27 @@ class VisibleWorld:
         self._options = options
         self.body = BodyMask(options)
         self._used = used
-        self._brightest = np.zeros(self.body.mask.shape, np.uint8)
+        # What has never been bright so far, and where that shows nothing.
+        self._dark = self._black = np.ones_like(self.body.mask)
         self._hidden = np.zeros_like(self.body.mask)
 
     def update(self, grey: Grey, R_current_previous: Rotation | None) -> None:
         """Take in the next grey sphere (H, W); without a rotation it is the first one."""
         small = cv2.resize(grey, self.body.mask.shape[::-1], interpolation=cv2.INTER_AREA)
         self.body.update(small, R_current_previous)
-        self._brightest = np.maximum(self._brightest, small)
+        dark = self._dark & (small <= self._options.black_grey)
+        if (dark != self._dark).any():
+            self._dark, self._black = dark, self._around_black(dark)
+        self._hidden = self.body.mask | self._black
+
+    def _around_black(self, dark: Mask) -> Mask:
+        """Return where pixels of a sphere are dark all around, and what is near to them."""
         side_px, patch_px = self._options.min_black_px, self._options.patch_px
-        black = pad_sphere((self._brightest <= self._options.black_grey).astype(np.uint8), side_px)
+        black = pad_sphere(dark.astype(np.uint8), side_px)
         black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((side_px, side_px), np.uint8))
         black = cv2.dilate(black, np.ones((patch_px, patch_px), np.uint8))
         inside = slice(side_px, -side_px)
-        self._hidden = self.body.mask | (black[inside, inside] > 0)
+        return black[inside, inside] > 0
 
     def shows(self, bearings: Bearings) -> Choice:
         """Tell along which bearings (N, 3) of the camera the world is to be seen."""

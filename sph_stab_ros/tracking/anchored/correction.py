@@ -43,5 +43,7 @@ class SmoothCorrection:
         """Let a little more of it be seen."""
         left = self.R_out_world.as_rotvec()
         size = float(np.linalg.norm(left))
+        if not size:
+            return
         step = max(self._options.min_step_rad, self._options.share * size)
-        self.R_out_world = Rotation.from_rotvec(left * (max(0., size - step) / max(size, 1e-12)))
+        self.R_out_world = Rotation.from_rotvec(left * (max(0., size - step) / size))

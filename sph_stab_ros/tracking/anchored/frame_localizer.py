@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sph_stab_ros.geometry.arrays import Vector
 from sph_stab_ros.geometry.rotations import rotation_from_matrix
 from sph_stab_ros.tracking.anchored.body_mask import VisibleWorld
 from sph_stab_ros.tracking.anchored.landmark_map import LandmarkMap
@@ -87,8 +88,7 @@ class FrameLocalizer:
         R_camera_last = align_thumbnails(
             self._last_thumbnail, frame.thumbnail, motion.predicted_rotation(stamp_ns).inv())
         R_world_camera = motion.R_world_camera * R_camera_last.inv()
-        self._map.readout.set_motion(*motion.velocities_at(
-            stamp_ns, R_world_camera, motion.position_at(stamp_ns)))
+        self._expect_motion(stamp_ns, R_world_camera, motion.position_at(stamp_ns))
         if self._initializer is not None:
             return self._initializer.localize(
                 frame.pyramid, R_camera_last, stamp_ns, self._visible.shows)
@@ -96,9 +96,14 @@ class FrameLocalizer:
         if localization is None or not self._map.readout.is_rolling:
             return localization
         # Once more: now it is known how the camera moved while the picture was read.
-        self._map.readout.set_motion(*motion.velocities_at(
-            stamp_ns, localization.R_world_camera, localization.pose.position))
+        self._expect_motion(stamp_ns, localization.R_world_camera, localization.pose.position)
         return self._by_active(frame, stamp_ns, localization.R_world_camera)
+
+    def _expect_motion(self, stamp_ns: int, R_world_camera: Rotation, position: Vector) -> None:
+        """Tell the read-out how the camera gets to a pose, where that makes a difference."""
+        if self._map.readout.is_rolling:
+            self._map.readout.set_motion(
+                *self._motion.velocities_at(stamp_ns, R_world_camera, position))
 
     def _by_active(self, frame: PreparedFrame, stamp_ns: int,
                    R_world_camera: Rotation) -> Localization | None:

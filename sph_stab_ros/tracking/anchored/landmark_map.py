@@ -63,6 +63,11 @@ class LandmarkMap:
 
     def in_world(self, rows: Indices) -> tuple[Bearings, Bearings, Vectors]:
         """Return x and east (N, 3) of the landmarks in rows, in the world, and whence (N, 3)."""
+        x, east, origins = self._in_world()
+        return x.take(rows, axis=0), east.take(rows, axis=0), origins.take(rows, axis=0)
+
+    def _in_world(self) -> tuple[Bearings, Bearings, Vectors]:
+        """Return the same of all landmarks."""
         # Asked for several times per frame, they change with keyframes alone.
         if self._all_in_world is None:
             numbers, R, positions = self._poses()
@@ -70,8 +75,7 @@ class LandmarkMap:
             self._all_in_world = (
                 np.einsum('nij,nj->ni', R[host], self._landmarks.x),
                 np.einsum('nij,nj->ni', R[host], self._landmarks.east), positions[host])
-        x, east, origins = self._all_in_world
-        return x[rows], east[rows], origins[rows]
+        return self._all_in_world
 
     def _poses(self) -> tuple[Indices, Matrix, Vectors]:
         """Return the numbers (K,) of the keyframes, R (K, 3, 3) and positions (K, 3)."""
@@ -85,8 +89,9 @@ class LandmarkMap:
 
         Each in units of the landmark's distance from its host.
         """
-        x, _, origins = self.in_world(rows)
-        return x - self._landmarks.inverse_depth[rows, None] * (position - origins)
+        x, _, origins = self._in_world()
+        return x.take(rows, axis=0) - self._landmarks.inverse_depth[rows, None] * (
+            position - origins.take(rows, axis=0))
 
     def directions(self, rows: Indices, position: Vector) -> Bearings:
         """Return unit vectors (N, 3) in the world to the landmarks in rows from a position."""
@@ -100,8 +105,8 @@ class LandmarkMap:
     def near(self, position: Vector, count: int) -> Indices:
         """Return rows of up to ``count`` inactive landmarks whose hosts are nearest, ascending."""
         inactive = np.flatnonzero(~self._landmarks.active)
-        _, _, origins = self.in_world(inactive)
-        distance = np.linalg.norm(origins - position, axis=1)
+        _, _, origins = self._in_world()
+        distance = np.linalg.norm(origins[inactive] - position, axis=1)
         return np.sort(inactive[np.argsort(distance, kind='stable')[:count]])
 
     def add_keyframe(self, R_world_camera: Rotation, position: Vector, covariance: Covariance,

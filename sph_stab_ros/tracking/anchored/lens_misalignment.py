@@ -18,7 +18,6 @@ through one lens and then through the other tells.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.arrays import Bearings, Covariance, Matrix, Vector
 from sph_stab_ros.tracking.anchored.bundle_adjustment import Adjusted
@@ -48,13 +47,18 @@ class LensOptions:
 
 
 class Lenses:
-    """The rotation vector ``apart`` (3,) between the halves of a stitched picture, as learnt."""
+    """
+    The rotation vector ``apart`` (3,) between the halves of a stitched picture, as learnt.
+
+    With its covariance ``apart_covariance`` (3, 3) in rad².
+    """
 
     def __init__(self, options: LensOptions) -> None:
         self._options = options
         self.apart: Vector = np.zeros(3)
         self._information: Matrix = np.zeros((3, 3))
         self._evidence: Vector = np.zeros(3)
+        self.apart_covariance = self._apart_covariance()
 
     def learn(self, H: Matrix, g: Vector) -> Vector:
         """
@@ -74,22 +78,22 @@ class Lenses:
         before = self.apart
         # What may as well be nothing is nothing.
         self.apart = max(0., 1 - options.significant / significance) * likely
+        self.apart_covariance = self._apart_covariance()
         return self.apart - before
 
-    @property
-    def apart_covariance(self) -> Covariance:
-        """Return the covariance (3, 3) of ``apart`` in rad²."""
+    def _apart_covariance(self) -> Covariance:
         options = self._options
         return np.linalg.inv(
             options.trust * self._information + np.eye(3) / options.usual_rad ** 2)
 
-    def covariance(self, R_first_camera: Rotation) -> Covariance:
+    def covariance(self, R_first_camera: Matrix) -> Covariance:
         """
         Return how uncertain an orientation is because of them: (3, 3) in rad².
 
-        It grows with the turn since the first keyframe, in which they are part of the world.
+        It grows with the turn since the first keyframe, in which they are part of the world:
+        ``R_first_camera`` (3, 3).
         """
-        D = R_first_camera.as_matrix() - np.eye(3)
+        D = R_first_camera - np.eye(3)
         influence = self._options.influence
         return influence ** 2 * np.trace(D @ self.apart_covariance @ D.T) / 3 * np.eye(3)
 
