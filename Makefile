@@ -137,6 +137,8 @@ benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; h
 	$(PAGE_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md docs/cameras.md
 
 ROS_JSON := results/benchmark-ros/benchmark_ros.json
+NODE := $(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml
+OTHERS := '--output view/image' '--width 3840' '--width 3840 --output view/image'
 # Browser, server and node on the same two cores, before other work where that may be asked for.
 FIRST := $(shell chrt -r 10 true 2> /dev/null && echo chrt -r 10)
 LATENCY := $(FIRST) $(PY) tools/operator_latency.py --add-to $(ROS_JSON)
@@ -144,7 +146,9 @@ LOSSY := --link 6 0.04 0.01
 
 benchmark-ros: setup  ## Measure the node end to end, through the middleware, and the page
 	mkdir -p results/benchmark-ros
-	$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml --json $(ROS_JSON)
+	$(NODE) --json $(ROS_JSON)
+	for one in $(OTHERS) '--output orientation'; do \
+	    $(NODE) --transports compressed $$one --add-to $(ROS_JSON) || exit 1; done
 	$(PY) -m sph_stab_ros.benchmark.source --add-to $(ROS_JSON)
 	$(PY) -m sph_stab_ros.benchmark.source --view --add-to $(ROS_JSON)
 	$(PY) -m sph_stab_ros.benchmark.source --width 3840 --view --add-to $(ROS_JSON)
@@ -168,8 +172,10 @@ benchmark-before: setup  ## Stages, pipelines and node at the commit BEFORE and 
 	cd results/before && $(CURDIR)/$(PY) setup.py -q build_ext --inplace
 	for tree in $(CURDIR)/results/before $(CURDIR); do echo "$$tree:"; cd $$tree || exit 1; \
 	  export PYTHONPATH=$$tree; \
-	  $(CURDIR)/$(PY) -m sph_stab_ros.benchmark --parts times --widths 960,1920 && \
-	  $(CURDIR)/$(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml || exit 1; \
+	  $(CURDIR)/$(PY) -m sph_stab_ros.benchmark --parts times --widths 960,1920 || exit 1; \
+	  $(CURDIR)/$(NODE) || exit 1; \
+	  for one in $(OTHERS); do \
+	    $(CURDIR)/$(NODE) --transports compressed $$one || exit 1; done; \
 	done
 	git worktree remove --force results/before
 

@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+import json
 import multiprocessing
 import os
 from pathlib import Path
@@ -34,7 +35,8 @@ import rclpy
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data, QoSProfile
 from sph_stab_ros.benchmark.machine import machine, MAX_WIDTH
-from sph_stab_ros.benchmark.node_scenario import MemoryRecording, Scenario
+from sph_stab_ros.benchmark.node_scenario import (
+    MemoryRecording, ORIENTATION, OUTPUTS, Scenario, WIDTH)
 from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.arguments import file_argument, whole_number
 from sph_stab_ros.command_line.process_setup import set_up_process
@@ -80,8 +82,8 @@ def play(scenario: Scenario) -> tuple[int, float]:
     with ros_node('player') as node:
         player = Player(node, recording)
         end_s = time.monotonic() + STARTUP_S
-        while not all(map(node.count_subscribers, (
-                scenario.topic('image'), 'orientation', scenario.topic(scenario.output)))):
+        while not all(map(node.count_subscribers, filter(None, (
+                scenario.topic('image'), ORIENTATION, scenario.image_topic)))):
             if time.monotonic() > end_s:
                 raise RecordingError('node and subscriber did not find each other')
             time.sleep(0.05)
@@ -110,11 +112,12 @@ def listen(scenario: Scenario, node_pid: int) -> Heard:
                 heard.diagnostics = {pair.key: pair.value for pair in status.values}
 
     with ros_node('subscriber') as node:
-        node.create_subscription(QuaternionStamped, 'orientation',
+        node.create_subscription(QuaternionStamped, ORIENTATION,
                                  takes_down(heard.orientations), QoSProfile(depth=100))
-        node.create_subscription(
-            scenario.image_type, scenario.topic(scenario.output), takes_down(heard.images),
-            qos_profile_sensor_data)
+        if scenario.image_topic:
+            node.create_subscription(
+                scenario.image_type, scenario.image_topic, takes_down(heard.images),
+                qos_profile_sensor_data)
         node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
         silent_s = time.monotonic() + STARTUP_S
         while time.monotonic() < silent_s:
@@ -165,14 +168,16 @@ def figures(scenario: Scenario, sent_ns: Sequence[int], heard: Heard) -> Figures
                 - said['refused'],
                 'dropped_by_node': said['dropped'], 'not_drawn_by_node': said['not_drawn'],
                 'orientations_to_subscriber': said['frames'] - len(heard.orientations),
-                'images_to_subscriber': said['frames'] - said['not_drawn'] - len(heard.images)},
+                'images_to_subscriber': (said['frames'] - said['not_drawn'] - len(heard.images)
+                                         if scenario.image_topic else 0)},
             'diagnostics': heard.diagnostics}
 
 
 def counted(scenario: Scenario, sent_ns: Sequence[int], heard: Heard) -> Sequence[int]:
     """Return the stamps of the pictures that count, from the first one that went all the way."""
+    images = heard.images if scenario.image_topic else heard.orientations
     whole_way = (n for n, due_ns in enumerate(sent_ns)
-                 if due_ns in heard.orientations and due_ns in heard.images)
+                 if due_ns in heard.orientations and due_ns in images)
     first = next(whole_way, len(sent_ns)) + scenario.warm_up_frames
     # Pictures at the end are all that is left where discovery took too long.
     return sent_ns[min(first, len(sent_ns) - scenario.frames):][:scenario.frames]
@@ -185,7 +190,9 @@ def percentiles(values: Sequence[float]) -> dict[str, float]:
 
 def scenarios(args: Namespace) -> list[Scenario]:
     """Return the scenarios to measure, the one of the headline first."""
-    profiles = [str(args.profile.resolve()), ''] if args.profile else ['']
+    profiles = [str(args.profile.resolve())] if args.profile else []
+    if not (args.profile and args.add_to):
+        profiles.append('')
     return [Scenario(args.recording, args.width, args.rate, args.frames, args.output, transport,
                      profile)
             for transport in args.transports.split(',') for profile in profiles]
@@ -193,13 +200,14 @@ def scenarios(args: Namespace) -> list[Scenario]:
 
 def table(results: Mapping[str, Figures]) -> Iterator[str]:
     """Yield the lines of a table of figures by scenario."""
-    yield (' ' * 22 + 'orientations   images   latency ms p50   p95   p99'
+    wide = max(map(len, results)) + 2
+    yield (' ' * wide + 'orientations   images   latency ms p50   p95   p99'
            '   CPU % player  node  subscriber   lost on the way in, dropped, on the way out')
     for name, result in results.items():
         p50, p95, p99 = (result['latency_ms'].get(f'p{q}', np.nan) for q in PERCENTILES)
         cpu = [result['cpu_percent'].get(who, np.nan) for who in ('player', 'node', 'subscriber')]
         frames, lost = result['frames'], result['lost']
-        yield (f'{name:<22}{result["orientations"]:8}/{frames}{result["images"]:5}/'
+        yield (f'{name:<{wide}}{result["orientations"]:8}/{frames}{result["images"]:5}/'
                f'{frames}{p50:17.0f}{p95:6.0f}{p99:6.0f}{cpu[0]:15.0f}{cpu[1]:6.0f}'
                f'{cpu[2]:12.0f}{lost["player_to_node"]:21}{lost["dropped_by_node"]:9}'
                f'{lost["images_to_subscriber"]:16}')
@@ -217,18 +225,25 @@ def arguments(argv: Sequence[str] | None) -> Namespace:
                         choices=('raw', 'compressed', 'raw,compressed'),
                         help='how pictures travel, in and out (default: %(default)s)')
     parser.add_argument('--output', default='stabilized/image',
-                        choices=('stabilized/image', 'view/image'),
-                        help='which output is subscribed to (default: %(default)s)')
-    parser.add_argument('--width', metavar='PX', type=int, default=1920,
+                        choices=tuple(OUTPUTS),
+                        help='which output is subscribed to; orientation always, or alone '
+                             '(default: %(default)s)')
+    parser.add_argument('--width', metavar='PX', type=int, default=WIDTH,
                         help='width of the pictures (default: %(default)s)')
     parser.add_argument('--rate', metavar='HZ', type=float, default=30.,
                         help='pictures per second (default: %(default)s)')
     parser.add_argument('--frames', metavar='N', type=whole_number(1), default=300,
                         help='pictures that count (default: %(default)s)')
-    parser.add_argument('--json', metavar='FILE', type=file_argument, help='write all figures')
+    written = parser.add_mutually_exclusive_group()
+    written.add_argument('--json', metavar='FILE', type=file_argument, help='write all figures')
+    written.add_argument('--add-to', metavar='FILE', type=Path,
+                         help='add the scenarios to those in a JSON file, with a profile that one '
+                              'alone')
     args = parser.parse_args(argv)
     if args.profile and not args.profile.is_file():
         parser.error(f'there is no file {args.profile}')
+    if args.add_to and not args.add_to.is_file():
+        parser.error(f'there is no file {args.add_to}')
     if not args.rate > 0:
         parser.error('--rate must be positive')
     if args.width % 2 or not MIN_WIDTH <= args.width <= MAX_WIDTH:
@@ -245,12 +260,14 @@ def benchmark(args: Namespace) -> None:
         results[scenario.name] = measure(scenario)
     load = about['machine']['load_before']
     print(f'{args.output}, {args.width} columns at {args.rate:g} Hz; load before {load:.1f}')
-    for line in table(results):
-        print(line)
+    print('\n'.join(table(results)))
     if args.json:
         # The first scenario's figures stand for the whole.
         headline = next(iter(results.values()))
         write_json(args.json, {**about, **headline, 'scenarios': results})
+    if args.add_to:
+        others = json.loads(args.add_to.read_text())
+        write_json(args.add_to, {**others, 'scenarios': {**others['scenarios'], **results}})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -23,6 +23,11 @@ from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
 
+ORIENTATION = 'orientation'
+# What may be subscribed to, and what that adds to a scenario's name.
+OUTPUTS = {'stabilized/image': '', 'view/image': ', view', ORIENTATION: ', no pictures'}
+# Of the pictures, unless told otherwise.
+WIDTH = 1920
 # Held in memory, 330 MB of raw pictures at 1920 columns, and played there and back.
 PICTURES = 60
 WARM_UP_S = 1.
@@ -32,7 +37,11 @@ SPARE_S = 4.
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is sent and how; ``profile`` is a Fast DDS profile, '' for its defaults."""
+    """
+    What is sent and how; ``profile`` is a Fast DDS profile, '' for its defaults.
+
+    ``output`` is a topic of pictures, or ORIENTATION where nobody wants any.
+    """
 
     recording: Path
     width: int
@@ -45,7 +54,10 @@ class Scenario:
     @property
     def name(self) -> str:
         """Tell it from others."""
-        return f'{self.transport}, {"profile" if self.profile else "defaults"}'
+        name = f'{self.transport}, {"profile" if self.profile else "defaults"}'
+        if self.width != WIDTH:
+            name += f', {self.width} columns'
+        return name + OUTPUTS[self.output]
 
     @property
     def warm_up_frames(self) -> int:
@@ -66,6 +78,11 @@ class Scenario:
     def image_type(self) -> type[Any]:
         """Return the type of the messages that pictures travel in."""
         return CompressedImage if self.compressed else Image
+
+    @property
+    def image_topic(self) -> str | None:
+        """Return the topic of pictures that is subscribed to, None where there is none."""
+        return None if self.output == ORIENTATION else self.topic(self.output)
 
     def topic(self, name: str) -> str:
         """Return where the pictures of ``name`` are."""

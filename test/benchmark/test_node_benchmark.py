@@ -51,6 +51,18 @@ def test_figures_count_what_was_heard_once_the_ends_have_found_each_other(scenar
         'images_to_subscriber': 118 - len(heard.images)}
 
 
+def test_where_nobody_wants_pictures_none_are_missed(turning_bag):
+    scenario = Scenario(turning_bag, 3840, 20., 30, 'orientation', 'compressed', 'profile.xml')
+    assert scenario.name == 'compressed, profile, 3840 columns, no pictures'
+    sent_ns = scenario.stamps_ns(10**9)
+    heard = Heard(orientations={one: one + 10**6 for one in sent_ns},
+                  diagnostics={'frames': str(len(sent_ns)), 'dropped': '0', 'not_drawn': '0',
+                               'refused': '0'})
+    result = figures(scenario, sent_ns, heard)
+    assert (result['frames'], result['orientations'], result['images']) == (30, 30, 0)
+    assert set(result['lost'].values()) == {20, 0} and result['latency_ms'] == {}
+
+
 def test_nothing_heard_is_all_lost(scenario):
     none = {'frames': '0', 'dropped': '0', 'not_drawn': '0', 'refused': '0'}
     result = figures(scenario, scenario.stamps_ns(10**9), Heard(diagnostics=none))
@@ -90,7 +102,8 @@ def test_a_short_run_with_and_without_profile(turning_bag, tmp_path, monkeypatch
     assert main([str(turning_bag), '--width', '256', '--rate', '20', '--frames', '20',
                  '--transports', 'raw', '--profile', str(PROFILE), '--json', str(path)]) == 0
     outcome = json.loads(path.read_text())
-    assert list(outcome['scenarios']) == ['raw, profile', 'raw, defaults']
+    assert list(outcome['scenarios']) == [
+        'raw, profile, 256 columns', 'raw, defaults, 256 columns']
     for one in (outcome, *outcome['scenarios'].values()):
         assert KEYS <= one.keys()
         assert 0 < one['images'] <= one['orientations'] <= one['frames'] == 20
@@ -98,13 +111,21 @@ def test_a_short_run_with_and_without_profile(turning_bag, tmp_path, monkeypatch
         assert 0 < latencies[0] and latencies == sorted(latencies)
         assert all(math.isfinite(percent) and percent > 0
                    for percent in one['cpu_percent'].values())
-    assert 'raw, defaults' in capsys.readouterr().out
-    assert '| raw, defaults |' in filled('<!-- node figures -->\n<!-- end -->', tmp_path)
+    assert 'raw, defaults, 256 columns' in capsys.readouterr().out
+    assert main([str(turning_bag), '--width', '256', '--rate', '20', '--frames', '20',
+                 '--transports', 'raw', '--output', 'orientation', '--add-to', str(path)]) == 0
+    added = json.loads(path.read_text())
+    alone = added['scenarios'].pop('raw, defaults, 256 columns, no pictures')
+    assert added == outcome
+    assert 0 < alone['orientations'] <= 20 and not alone['images']
+    page = filled('<!-- node figures -->\n<!-- end -->', tmp_path)
+    assert '| raw, defaults, 256 columns |' in page
 
 
 @pytest.mark.parametrize('arguments', (
     ['--profile', 'no_such_file'], ['--frames', '0'], ['--rate', 'nan'], ['--width', '641'],
-    ['--output', 'imu'], ['--transports', 'theora'], ['--json', 'no/such/folder/file']))
+    ['--output', 'imu'], ['--transports', 'theora'], ['--json', 'no/such/folder/file'],
+    ['--add-to', 'no_such_file']))
 def test_wrong_calls_are_refused_in_one_line(arguments, capsys):
     before = dict(os.environ)
     with pytest.raises(SystemExit, match='2'):
