@@ -49,6 +49,11 @@ class Ways:
         """Wait until pictures go by datagrams."""
         wait_until(lambda: self.client and self.client.datagrams, self.page.situation)
 
+    def wait_for_what(self, what):
+        """Wait until the page says that pictures come so."""
+        wait_until(lambda: self.page.page.text_content('[data-figure=what]').split(',')[0] == what,
+                   self.page.situation)
+
     def wait_for_pictures(self, count=5):
         """Wait until so many more pictures are drawn."""
         for _ in range(count):
@@ -99,7 +104,7 @@ def test_pictures_come_by_datagrams_alone(ways):
         before = one.by_socket
         one.wait_for_pictures(20)
         assert one.by_socket == before
-        assert 'H.264' in one.page.page.text_content('[data-figure=what]')
+        one.wait_for_what('H.264 by datagrams')
         # Which counts them.
         wait_until(lambda: float(one.page.page.text_content('[data-figure=mbit_s]')[:3]) > 0)
 
@@ -112,6 +117,7 @@ def test_otherwise_they_come_by_the_websocket(ways, options):
         before = one.by_socket
         one.wait_for_pictures(20)
         assert one.by_socket > before
+        one.wait_for_what('H.264')
         assert one.client.datagrams is None
 
 
@@ -131,6 +137,7 @@ def test_when_the_way_ends_they_come_by_the_websocket_again(ways, monkeypatch, e
         wait_until(lambda: one.client.datagrams is None, one.page.situation)
         one.wait_for_pictures(20)
         assert one.by_socket > before
+        one.wait_for_what('H.264')
         one.page.wait_for_situation('stabilized')
 
 

@@ -23,9 +23,9 @@ const MAY_GET_LOST = ['drawn', 'skipped'];
 const PAGE = Array.from(crypto.getRandomValues(new Uint32Array(4)), n => n.toString(36)).join('');
 
 export class Connection {
-  // handlers: picture({sequence, stamp_ns, orientation, chunk, image}), state(…), notice(…), echo(…),
-  // received(bytes), withoutVideo() where that fails, open(), closed(reason), and maxColumns(), that
-  // the image may have. takesVideo: whether pictures may come as one.
+  // handlers: picture({sequence, stamp_ns, orientation, chunk, byDatagrams, image}), state(…),
+  // notice(…), echo(…), received(bytes), withoutVideo() where that fails, open(), closed(reason), and
+  // maxColumns(), that the image may have. takesVideo: whether pictures may come as one.
   constructor(handlers, takesVideo) {
     this.handlers = handlers;
     this.takesVideo = takesVideo;
@@ -72,11 +72,11 @@ export class Connection {
       opened = true;
       this.handlers.open();
     });
-    const takePicture = data => {
+    const takePicture = (data, byDatagrams) => {
       this.checks = 0;
       this.handlers.received(data.byteLength);
       const [header, file] = parsed(data);
-      (header.chunk ? video : decoder).take(header, file);
+      (header.chunk ? video : decoder).take({...header, byDatagrams}, file);
       return header;
     };
     socket.onmessage = ifCurrent(({data}) => {
@@ -84,14 +84,15 @@ export class Connection {
       this.retryMs = FIRST_RETRY_MS;
       if (typeof data !== 'string') {
         // One that is newer than those by datagrams: the server has given these up.
-        if (takePicture(data).sequence > (this.datagrams?.newest || Infinity)) this.datagrams.close();
+        if (takePicture(data, false).sequence > (this.datagrams?.newest || Infinity)) this.datagrams.close();
         return;
       }
       const message = JSON.parse(data);
       if (message.type !== 'datagrams') {
         this.handlers[message.type](message);
       } else if (globalThis.WebTransport) {
-        this.datagrams = new Datagrams(message, ifCurrent(({buffer}) => takePicture(buffer)));
+        this.datagrams = new Datagrams(
+          message, ifCurrent(({buffer}) => takePicture(buffer, true)));
       }
     });
     socket.onclose = ifCurrent(({code, reason}) => {

@@ -30,10 +30,11 @@ export class LinkFigures {
   }
 
   // A picture is drawn.
-  drawn({sequence, stamp_ns, chunk, width, height}) {
+  drawn({sequence, stamp_ns, chunk, width, height, byDatagrams}) {
     const at = this.now(), dropped = this.sequence === null ? 0 : sequence - this.sequence - 1;
     this.sequence = sequence;
-    this.what = `${chunk ? 'H.264' : 'JPEG'}, ${width}×${height}`;
+    const way = byDatagrams ? ' by datagrams' : '';
+    this.what = `${chunk ? 'H.264' : 'JPEG'}${way}, ${width}×${height}`;
     const stamp = Number(BigInt(stamp_ns) / 1000n) / 1000;
     this.pictures.push({at, dropped, age: at + this.#offset() - stamp});
   }
