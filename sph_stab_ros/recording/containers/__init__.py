@@ -92,7 +92,7 @@ class Containers:
         if len(kinds) > 1:
             raise RecordingError(f'{path} holds bags of several kinds, give one of them: '
                                  f'{", ".join(file.name for file in files)}')
-        parts = [self._look_into(kind(self._copies.readable(file, self._damage)))
+        parts = [self._summary_of(kind(self._copies.readable(file, self._damage)))
                  for file in files for kind in kinds]
         if not listed:
             parts = without_copies(path.name, parts)
@@ -102,7 +102,7 @@ class Containers:
             self.channels.update(one.counts)
         return [one.part for one in parts]
 
-    def _look_into(self, part: Part) -> 'Look':
+    def _summary_of(self, part: Part) -> 'Summary':
         """Count a part's messages, and find when they begin."""
         counts = part.index()
         channel, first_ns, _ = next(part.scan(Damage()), (None, None, b''))
@@ -111,10 +111,10 @@ class Containers:
             # There is no index, or it contradicts what it stands for.
             counts = Counter(channel for channel, _, _ in part.scan(Damage()))
             counts.update(dict.fromkeys(part.channels(), 0))
-        return Look(part, first_ns, counts)
+        return Summary(part, first_ns, counts)
 
 
-class Look(NamedTuple):
+class Summary(NamedTuple):
     """What is known of a part before it is read; the time in ns of its first message, if any."""
 
     part: Part
@@ -122,9 +122,9 @@ class Look(NamedTuple):
     counts: Counter[Channel]
 
 
-def without_copies(name: str, parts: list[Look]) -> list[Look]:
+def without_copies(name: str, parts: list[Summary]) -> list[Summary]:
     """Return the parts, of those that begin at the same time the one that holds most."""
-    best: dict[int, Look] = {}
+    best: dict[int, Summary] = {}
     for one in parts:
         if one.first_ns is not None:
             other = best.setdefault(one.first_ns, one)
