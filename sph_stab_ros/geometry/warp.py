@@ -155,8 +155,11 @@ class InverseWarp:
         # As many threads as cv2.remap would take.
         bands = max(min(cv2.getNumThreads(), height // ROWS_PER_THREAD), 1)
         edges = np.linspace(0, self._rows, bands + 1).astype(int)
-        each = _threads().map if bands > 1 else map
-        list(each(read, edges[:-1], edges[1:]))
+        # Nobody wakes up as soon as he who is awake already.
+        others = [_threads().submit(read, *band) for band in zip(edges[1:], edges[2:])]
+        read(*edges[:2])
+        for one in others:
+            one.result()
         return target
 
     def _interpolated(self, image: Raster, u: Plane, v: Plane, border: int) -> Raster:
