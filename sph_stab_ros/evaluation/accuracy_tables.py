@@ -113,9 +113,10 @@ def ablation(results: Sequence[Result]) -> Iterator[Row]:
     result, = results
     columns: dict[str, list[str]] = defaultdict(list)
     for name in next(iter(result.values())):
-        columns[name.rstrip('0123456789').rstrip('_')].append(name)
-    yield ('', *(name if names == [name] else f'{name}, {len(names)} flights: mean; worst'
-                 for name, names in columns.items()))
+        columns[name.rstrip('0123456789')].append(name)
+    yield ('', *(names[0] if len(names) == 1 else
+                 f'{kind.rstrip("_")}, {len(names)} flights: mean; worst'
+                 for kind, names in columns.items()))
     for variant, found in result.items():
         yield (variant, *(_together([found[name] for name in names])
                           for names in columns.values()))
