@@ -144,6 +144,8 @@ class InverseWarp:
         """Return the target of an equirectangular image: all of the below, in one pass."""
         (width, height), cell = self.size_wh, self._cell_px
         target = np.empty((height, width, *image.shape[2:]), np.uint8)
+        # Once, and not by each thread.
+        image = np.ascontiguousarray(image)
 
         def read(first: int, last: int) -> None:
             band, nodes = target[first * cell:last * cell], slice(first, last + 1)

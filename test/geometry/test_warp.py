@@ -8,6 +8,9 @@
 
 """Laws of the inverse warp."""
 
+import multiprocessing
+import warnings
+
 import cv2
 import numpy as np
 import pytest
@@ -86,6 +89,25 @@ def test_threads_make_no_difference(size_wh):
         cv2.setNumThreads(threads_before)
     np.testing.assert_array_equal(seen[1], seen[0])
     np.testing.assert_array_equal(seen[2], seen[0])
+
+
+def test_a_forked_process_has_threads_of_its_own():
+    """As a pool of processes on Linux does, after its parent has drawn something."""
+    forked = multiprocessing.get_context('fork').Process(
+        target=rotate_equirect, args=(smooth_sphere(640), ROTATIONS[1]), daemon=True)
+    threads_before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(2)
+        rotate_equirect(smooth_sphere(640), ROTATIONS[1])
+        with warnings.catch_warnings():
+            # Of what can go wrong with others' threads.
+            warnings.simplefilter('ignore', DeprecationWarning)
+            forked.start()
+        forked.join(60)
+    finally:
+        cv2.setNumThreads(threads_before)
+        forked.kill()
+    assert forked.exitcode == 0
 
 
 @pytest.mark.parametrize('R', ROTATIONS)
