@@ -198,10 +198,10 @@ def figures_with(anchored_ms, pictures_ms, pictures_cpu_ms, ratio):
 
 
 @pytest.mark.parametrize('figures, met', (
-    (figures_with(9., 20., 30., 1.2), [True] * 4),
-    (figures_with(11., 34., 30., 1.6), [False] * 4),
+    (figures_with(4.5, 20., 30., 1.2), [True] * 4),
+    (figures_with(5.5, 34., 30., 1.6), [False] * 4),
     # Fast enough, but on both cores.
-    (figures_with(9., 20., 34., 1.2), [True, False, True, True]),
+    (figures_with(4.5, 20., 34., 1.2), [True, False, True, True]),
     ({}, [])))
 def test_targets_are_met_or_missed(figures, met):
     assert [row[-1] for row in targets(figures, cores=2)] == met
