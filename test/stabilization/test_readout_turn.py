@@ -17,12 +17,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import (
     COLUMNS, FISHEYE, FisheyeConfig, LensConfig, ROWS, StabilizerConfig, TrackerConfig)
+from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.projection_factory import projection_of
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.offline import offline_stabilizer
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.readout_turn import MAX_INTERVAL_S, ReadoutTurn
-from synthetic import textured_sphere
+from synthetic import textured_sphere, texture_along
 
 WIDTH = 256
 SIDE = 200
@@ -39,8 +40,8 @@ def read_row_by_row(time_s):
     """Return a sphere of a shaken camera, in so many bands as its orientation is that of a row."""
     rows = np.arange(WIDTH // 2)
     times_s = time_s + ((rows + 0.5) / len(rows) - 0.5) * READOUT_S
-    return np.stack([textured_sphere(WIDTH, R)[row]
-                     for row, R in zip(rows, shaken(times_s))])
+    R_world_rows = shaken(times_s).as_matrix().astype(np.float32)
+    return texture_along(bearing_grid(WIDTH) @ np.swapaxes(R_world_rows, 1, 2))
 
 
 @pytest.fixture(name='frames', scope='module')

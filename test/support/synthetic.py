@@ -53,8 +53,13 @@ def angle_deg(R_a, R_b):
 
 def textured_sphere(width, R_world_camera=Rotation.identity(), seed=0):
     """Return a grey image of a richly textured world at infinity, exact under any rotation."""
+    return texture_along(
+        bearing_grid(width) @ R_world_camera.as_matrix().T.astype(np.float32), seed)
+
+
+def texture_along(x, seed=0):
+    """Return what is seen of that world along bearings (H, W, 3) in it."""
     rng = np.random.default_rng(seed)
-    x = bearing_grid(width) @ R_world_camera.as_matrix().T.astype(np.float32)
     grey = np.zeros(x.shape[:2], np.float32)
     for _ in range(120):
         frequency = np.float32(rng.uniform(4, 50))
