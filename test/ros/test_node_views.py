@@ -63,11 +63,11 @@ class Observer:
 
 @pytest.fixture(scope='module')
 def running(tmp_path_factory):
-    """Return an Observer of a node with two views."""
+    """Return an Observer of a node with two views, small enough for shared memory."""
     with stabilizer(
             tmp_path_factory.mktemp('views'), '-p', 'views:=[front, rear]', '-p',
             'rear.yaw_deg:=180.0', '-p', 'rear.hfov_deg:=60.0', '-p', 'front.width:=160', '-p',
-            'front.height:=120', '-p', f'cmd_vel_timeout_s:={TIMEOUT_S}', '-p',
+            'front.height:=120', '-p', 'rear.width:=320', '-p', 'rear.height:=240', '-p', f'cmd_vel_timeout_s:={TIMEOUT_S}', '-p',
             'rear.frame_id:=looking_back', '-p', 'working_width:=192', views=VIEWS, topics=(
                 'orientation', 'stabilized/image', 'front/image', 'rear/image',
                 'rear/image/compressed', 'front/camera_info', 'rear/camera_info')) as peer:
@@ -89,7 +89,7 @@ def test_each_view_has_its_own_picture_model_and_frame(observer):
     assert np.isclose(observer.hfov_deg('rear'), 60)
     sent_ns = observer.send()
     for view, frame, size_wh in (('front', 'front_optical', (160, 120)),
-                                 ('rear', 'looking_back', (640, 480))):
+                                 ('rear', 'looking_back', (320, 240))):
         image, info = (observer.last(f'{view}/{end}') for end in ('image', 'camera_info'))
         for msg in (image, info):
             assert (msg.header.frame_id, stamp_ns(msg)) == (frame, sent_ns)
