@@ -67,8 +67,9 @@ def running(tmp_path_factory):
     with stabilizer(
             tmp_path_factory.mktemp('views'), '-p', 'views:=[front, rear]', '-p',
             'rear.yaw_deg:=180.0', '-p', 'rear.hfov_deg:=60.0', '-p', 'front.width:=160', '-p',
-            'front.height:=120', '-p', 'rear.width:=320', '-p', 'rear.height:=240', '-p', f'cmd_vel_timeout_s:={TIMEOUT_S}', '-p',
-            'rear.frame_id:=looking_back', '-p', 'working_width:=192', views=VIEWS, topics=(
+            'front.height:=120', '-p', 'rear.width:=320', '-p', 'rear.height:=240', '-p',
+            f'cmd_vel_timeout_s:={TIMEOUT_S}', '-p', 'rear.frame_id:=looking_back',
+            '-p', 'working_width:=192', views=VIEWS, topics=(
                 'orientation', 'stabilized/image', 'front/image', 'rear/image',
                 'rear/image/compressed', 'front/camera_info', 'rear/camera_info')) as peer:
         yield Observer(peer)

@@ -23,7 +23,7 @@ from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.stabilization.offline import offline_stabilizer
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.stabilization.readout_turn import MAX_INTERVAL_S, ReadoutTurn
-from synthetic import textured_sphere, texture_along
+from synthetic import texture_along, textured_sphere
 
 WIDTH = 256
 SIDE = 200
