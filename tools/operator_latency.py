@@ -18,7 +18,6 @@ The page shows the raw picture, whose middle stays in the middle; it takes the s
 from argparse import ArgumentParser
 from contextlib import nullcontext
 from itertools import chain, cycle, islice
-import json
 import os
 from pathlib import Path
 import shutil
@@ -37,6 +36,7 @@ from sph_stab_ros.benchmark.machine import machine
 from sph_stab_ros.command_line.processes import cpu_s, running
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.recording import decoded_frames, open_recording
+from sph_stab_ros.recording.partial_output import add_to_json
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / 'test/support'))
 from bad_link import BadLink, why_not  # noqa: E402, I100
@@ -244,10 +244,9 @@ def main():
           f"{result['wrong_numbers']} with a wrong number; latency ms {latency}; CPU % {cpu}; "
           f"load before {result['machine']['load_before']:.1f}")
     if args.add_to:
-        others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
         name = args.key or ('link' if args.link else '')
         key = f'{KEY}_{name}' if name else KEY
-        args.add_to.write_text(json.dumps({**others, key: result}, indent=2) + '\n')
+        add_to_json(args.add_to, **{key: result})
 
 
 if __name__ == '__main__':

@@ -46,7 +46,7 @@ from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.player import Player
 from sph_stab_ros.recording import RecordingError
-from sph_stab_ros.recording.partial_output import write_json
+from sph_stab_ros.recording.partial_output import add_to_json, write_json
 
 PROFILE_VARIABLE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 NAMESPACE = 'benchmark'
@@ -266,8 +266,8 @@ def benchmark(args: Namespace) -> None:
         headline = next(iter(results.values()))
         write_json(args.json, {**about, **headline, 'scenarios': results})
     if args.add_to:
-        others = json.loads(args.add_to.read_text())
-        write_json(args.add_to, {**others, 'scenarios': {**others['scenarios'], **results}})
+        known = json.loads(args.add_to.read_text())['scenarios']
+        add_to_json(args.add_to, scenarios={**known, **results})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -21,7 +21,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from fractions import Fraction
 from itertools import chain, cycle, islice
-import json
 import multiprocessing
 from pathlib import Path
 import socket
@@ -46,7 +45,7 @@ from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.live.capture_clock import SENDER
 from sph_stab_ros.recording import decoded_frames, open_recording, RecordingError
-from sph_stab_ros.recording.partial_output import write_json
+from sph_stab_ros.recording.partial_output import add_to_json
 
 if TYPE_CHECKING:
     import av
@@ -238,9 +237,8 @@ def benchmark(args: Namespace) -> None:
     print('CPU in percent: ' + ', '.join(
         f'{who} {percent:.0f}' for who, percent in result.get('cpu_percent', {}).items()))
     if args.add_to:
-        others = json.loads(args.add_to.read_text()) if args.add_to.exists() else {}
         key = f'{KEY}_{args.width}' + ('_view' if args.view else '')
-        write_json(args.add_to, {**others, key: result})
+        add_to_json(args.add_to, **{key: result})
 
 
 def main(argv: Sequence[str] | None = None) -> int:

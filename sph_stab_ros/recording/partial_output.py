@@ -57,6 +57,11 @@ def write_json(path: Path, content: object) -> None:
         partial.write_text(json.dumps(content, indent=2) + '\n')
 
 
+def add_to_json(path: Path, **added: object) -> None:
+    """Write what a JSON file holds, if there is one, and what is added by key; as write_json."""
+    write_json(path, {**(json.loads(path.read_text()) if path.exists() else {}), **added})
+
+
 def refuse_to_replace(path: Path, force: bool, holds: Sequence[str]) -> None:
     """Raise RecordingError where a path exists and is not to be replaced."""
     if path.exists() and not force:
