@@ -141,6 +141,9 @@ def test_a_full_disk_is_told_and_ends_a_recording(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, 'disk_usage', lambda path: Usage(10**8))
     recorder.take(numbered(1))
     wait_until(lambda: not recorder.name)
+    # Behind what the thread does to the bag's end.
+    with pytest.raises(RobotError, match='Nothing is being recorded'):
+        asyncio.run(recorder.record(False))
     assert warnings == ['The recording has ended: No space left on device.']
     assert [recorder.pop_failure(), recorder.pop_failure()] == [warnings[0], '']
     assert check(bag) == 1
