@@ -115,7 +115,7 @@ class VisibleWorld:
         self._hidden = self.body.mask | self._black
 
     def _around_black(self, dark: Mask) -> Mask:
-        """Return where pixels of a sphere are dark all around, and what is near to them."""
+        """Return where a sphere is dark (H, W) all around, and what is near to that, (H, W)."""
         side_px, patch_px = self._options.min_black_px, self._options.patch_px
         black = pad_sphere(dark.astype(np.uint8), side_px)
         black = cv2.morphologyEx(black, cv2.MORPH_OPEN, np.ones((side_px, side_px), np.uint8))

@@ -67,7 +67,7 @@ class LandmarkMap:
         return x.take(rows, axis=0), east.take(rows, axis=0), origins.take(rows, axis=0)
 
     def _in_world(self) -> tuple[Bearings, Bearings, Vectors]:
-        """Return the same of all landmarks."""
+        """Return the same of all L landmarks, (L, 3) each."""
         # Asked for several times per frame, they change with keyframes alone.
         if self._all_in_world is None:
             numbers, R, positions = self._poses()
@@ -115,6 +115,11 @@ class LandmarkMap:
         self.keyframes.append(Keyframe(self._next_keyframe, R_world_camera.as_matrix(), position,
                                        covariance, encode_jpeg(grey), thumbnail, observations))
         self._next_keyframe += 1
+
+    def lens_covariance(self, R_world_camera: Rotation) -> Covariance:
+        """Return how uncertain an orientation is because of the lenses: (3, 3) in rad²."""
+        # By matrices: SciPy takes ten times as long, and this is asked of every frame.
+        return self.lenses.covariance(self.keyframes[0].R.T @ R_world_camera.as_matrix())
 
     def turn(self, R_new_old: Rotation, added_variance: float) -> None:
         """Turn the whole map; what is known of orientations changes by a variance in rad²."""

@@ -75,9 +75,10 @@ class Pyramid:
         if level not in self._images:
             grey = self._grey if level == 0 else cv2.resize(
                 self._grey, None, fx=0.5 ** level, fy=0.5 ** level, interpolation=cv2.INTER_AREA)
-            # OpenCV would take five pixels, and give those beyond three no weight.
+            # Farther away a byte has no weight; OpenCV would count it in, for half as much again.
+            side_px = 2 * int(3.5 * self.options.blur_px) + 1
             self._images[level] = cv2.GaussianBlur(
-                pad_sphere(grey, self.margin_px), (3, 3), self.options.blur_px)
+                pad_sphere(grey, self.margin_px), (side_px, side_px), self.options.blur_px)
         return self._images[level]
 
     def px_per_rad(self, level: int = 0) -> float:

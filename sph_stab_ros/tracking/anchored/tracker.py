@@ -205,10 +205,9 @@ class AnchoredTracker:
         step = self._motion.update(stamp_ns, R_world_camera, pose.position)
         self._visible.update(frame.small, step.inv())
         self._localizer.accept(frame, localization)
-        R_first_camera = self._map.keyframes[0].R.T @ R_world_camera.as_matrix()
         self._covariance = (self._map.keyframes[-1].covariance
                             + rotate_covariance(pose.covariance[:3, :3], R_world_camera)
-                            + self._map.lenses.covariance(R_first_camera))
+                            + self._map.lens_covariance(R_world_camera))
         R_world_continued = self._localizer.R_world_continued
         if R_world_continued is not None:
             # When another pose counts than did before, the picture follows smoothly.

@@ -122,10 +122,8 @@ class HindsightTracker:
                 tracker.options.localization)
             if found is not None:
                 R_world_camera, covariance = found.R_world_camera, found.pose.covariance[:3, :3]
-        R_first_world = rotation_from_matrix(landmark_map.keyframes[0].R).inv()
         covariance = (one.keyframe.covariance + rotate_covariance(covariance, R_world_camera)
-                      + landmark_map.lenses.covariance(
-                          (R_first_world * R_world_camera).as_matrix()))
+                      + landmark_map.lens_covariance(R_world_camera))
         return TrackedOrientation(R_world_camera, status_of(covariance), covariance)
 
     def _rows(self, one: Located) -> Indices:
