@@ -58,7 +58,7 @@ def textured_sphere(width, R_world_camera=Rotation.identity(), seed=0):
 
 
 def texture_along(x, seed=0):
-    """Return what is seen of that world along bearings (H, W, 3) in it."""
+    """Return the grey values (H, W) uint8 of that world along bearings (H, W, 3) in it."""
     rng = np.random.default_rng(seed)
     grey = np.zeros(x.shape[:2], np.float32)
     for _ in range(120):
