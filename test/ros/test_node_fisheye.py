@@ -43,7 +43,7 @@ def test_a_theta_s_is_stabilised(tmp_path, world):
         first, *_, last = (pixels(msg).astype(float) for msg in peer.received[TOPICS[1]])
         assert first.shape == (570, 1140, 3)
         assert np.abs(last - first).mean() < 8 < first.std() / 4
-        assert pixels(peer.received[TOPICS[2]][-1]).shape == (480, 640, 3)
+        assert pixels(peer.received[TOPICS[2]][-1]).shape == (240, 320, 3)
 
 
 def test_two_lenses_on_two_topics_are_stabilised(tmp_path, world):

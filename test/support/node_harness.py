@@ -56,6 +56,8 @@ COMPRESSED = ('-p', 'image_transport:=compressed')
 # Best effort may lose any image, and raw ones that exceed the 0.5 MB of Fast DDS's shared memory
 # by default often: whoever waits for the answer to one image would wait in vain.
 RELIABLE = 'qos_overrides./{}.subscription.reliability:=reliable'
+# So do raw views of the usual size, whose lost parts come again, but three seconds later.
+SMALL_VIEW = ('-p', 'view.width:=320', '-p', 'view.height:=240')
 
 
 def free_domains():
@@ -301,6 +303,7 @@ def stabilizer(tmp_path, *arguments, topics=('orientation',), compressed=False, 
     Unless ``reliable`` is False, no image is lost on the way. ``program`` runs the node.
     """
     domain = domain or next(DOMAINS)
+    arguments = (*SMALL_VIEW, *arguments)
     if compressed:
         arguments = (*COMPRESSED, *arguments)
     if reliable:
