@@ -32,7 +32,9 @@ from sph_stab_ros.operator.pairing import Orientation, Picture  # noqa: E402
 from sph_stab_ros.operator.video import Video  # noqa: E402
 from sph_stab_ros.recording import decoded_frames, open_recording  # noqa: E402
 
-LEVELS = 8
+LEVELS = 5
+# Of what is drawn, since video for a slow browser or link is coarse; other levels are farther off.
+TOLERANCE = 15
 # Called by whoever has just drawn: what is on the canvas, and what it is said to be.
 PROBE = """() => {
     const place = document.getElementById('picture'), canvas = place.querySelector('canvas');
@@ -88,7 +90,7 @@ def spheres():
 
 def level(number):
     """Return the grey level of the disc in a picture."""
-    return 80 + 20 * (number % LEVELS)
+    return 70 + 35 * (number % LEVELS)
 
 
 def figure(page, name):
@@ -109,7 +111,7 @@ def test_every_picture_is_drawn_with_its_own_stamp_and_orientation(opened, query
     numbers = [number for number, *_ in drawn]
     assert numbers == sorted(set(numbers))
     for number, *rgb in drawn:
-        np.testing.assert_allclose(rgb, level(number), atol=6)
+        np.testing.assert_allclose(rgb, level(number), atol=TOLERANCE)
 
 
 class Passed(Filmed):
@@ -141,7 +143,7 @@ def test_a_camera_s_own_video_is_drawn_as_it_is(opened):
         assert served.robot.needs_files is False
         assert figure(page, 'what') == 'H.264, 512×256'
     for number, *rgb in drawn:
-        np.testing.assert_allclose(rgb, level(number), atol=6)
+        np.testing.assert_allclose(rgb, level(number), atol=TOLERANCE)
 
 
 def test_the_page_says_what_pictures_come_as(opened):
