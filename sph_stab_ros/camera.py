@@ -41,7 +41,7 @@ from sph_stab_ros.config import JOINS, NODE_PARAMETERS, NOT_JOINED
 from sph_stab_ros.images.codec import (
     compressed_fields, fill_image, fill_message, ImageError, JPEG_QUALITY)
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.jpeg import jpeg_fields, JpegFile
+from sph_stab_ros.images.jpeg_file import jpeg_fields, JpegFile
 from sph_stab_ros.live.address import Address, SourceError
 from sph_stab_ros.live.joined import source_of
 from sph_stab_ros.live.source import LivePicture

@@ -38,7 +38,7 @@ from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
 from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
 from sph_stab_ros.evaluation.errors import Errors
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
-from sph_stab_ros.evaluation.outputs import draw, make_folder, write_trajectories
+from sph_stab_ros.evaluation.output_folders import draw, make_folder, write_trajectories
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_injected, Progress
 from sph_stab_ros.evaluation.stitched import Stitched

@@ -40,7 +40,7 @@ from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording, STANDARD_INPUT
 from sph_stab_ros.recording.partial_output import partial_output
-from sph_stab_ros.stabilization.directions import (
+from sph_stab_ros.stabilization.film_directions import (
     DirectionPath, read_directions, recorded_directions)
 from sph_stab_ros.stabilization.offline import looking_ahead, offline_stabilizer
 from sph_stab_ros.stabilization.outputs import configured_camera, draw_sphere, draw_view

@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 from sph_stab_ros.calibration.ring import corners_in_both
 from sph_stab_ros.config import FisheyeConfig
 from sph_stab_ros.geometry.arrays import Bearings, Grey, Pixels, Values
-from sph_stab_ros.geometry.lens import lens_of
+from sph_stab_ros.geometry.lens_model import lens_of
 
 
 class Parameter(NamedTuple):

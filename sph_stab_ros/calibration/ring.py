@@ -16,7 +16,7 @@ import numpy as np
 from sph_stab_ros.config import FisheyeConfig
 from sph_stab_ros.geometry.arrays import Bearings, Choice, Grey, Pixels
 from sph_stab_ros.geometry.fisheye import dual_fisheye, DualFisheye
-from sph_stab_ros.geometry.lens import Lens
+from sph_stab_ros.geometry.lens_model import Lens
 
 # In pictures of the ring, which are this much finer than the circles.
 FINENESS = 2.

@@ -17,7 +17,7 @@ import numpy as np
 
 from sph_stab_ros.config import FisheyeConfig
 from sph_stab_ros.geometry.arrays import Bearings, Faces, Grey, Mask, Pixels, Plane, Raster
-from sph_stab_ros.geometry.lens import Lens, lens_of
+from sph_stab_ros.geometry.lens_model import Lens, lens_of
 from sph_stab_ros.geometry.pixel_map import NOWHERE, PixelMap
 from sph_stab_ros.geometry.projection import Picture
 

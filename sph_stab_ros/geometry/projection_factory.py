@@ -19,8 +19,8 @@ from sph_stab_ros.geometry.equirect import is_equirect
 from sph_stab_ros.geometry.fisheye import (
     dual_fisheye, fits, lens_ahead, single_fisheye)
 from sph_stab_ros.geometry.gopro_max import gopro_max
-from sph_stab_ros.geometry.lens import lens_of
 from sph_stab_ros.geometry.lens_file import check_lens_file, with_lens_file
+from sph_stab_ros.geometry.lens_model import lens_of
 from sph_stab_ros.geometry.projection import Equirect, Projection
 
 # Of sums that are those of a whole sphere.

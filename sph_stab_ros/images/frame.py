@@ -18,7 +18,7 @@ from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.images.codec import decoded, file_in, is_raw, JPEG
 from sph_stab_ros.images.colour import Colour
-from sph_stab_ros.images.jpeg import JpegFile
+from sph_stab_ros.images.jpeg_file import JpegFile
 from sph_stab_ros.images.picture_time import PictureTime
 from sph_stab_ros.images.raw import image_from_raw
 

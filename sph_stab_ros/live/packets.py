@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING, TypeAlias
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.codec import whole_file
 from sph_stab_ros.images.image_error import ImageError
-from sph_stab_ros.images.jpeg import JpegFile
+from sph_stab_ros.images.jpeg_file import JpegFile
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.video.decoder import DAMAGED, NO_KEY, VideoDecoder
 from sph_stab_ros.images.video.picture import side_data_of, tagged_colour, VideoPicture

@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable
 from time import monotonic
 from typing import Protocol
 
-from sph_stab_ros.operator.flow import Flow, StillFlow, VideoFlow
+from sph_stab_ros.operator.flow_control import Flow, StillFlow, VideoFlow
 from sph_stab_ros.operator.listening import Allowance
 from sph_stab_ros.operator.protocol import Link, picture_message
 

@@ -33,8 +33,8 @@ from cryptography.hazmat.primitives import hashes
 
 from sph_stab_ros.operator.certificate import new_brief_identity
 from sph_stab_ros.operator.client import Client
+from sph_stab_ros.operator.error_correction import group_pieces, pieces
 from sph_stab_ros.operator.listening import Allowance, BURST_BYTES, BYTES_PER_S
-from sph_stab_ros.operator.pieces import group_pieces, pieces
 from sph_stab_ros.operator.protocol import (
     Arrived, Command, Drawn, parse_command, ProtocolError)
 

@@ -20,8 +20,8 @@ from dataclasses import replace
 from time import monotonic
 
 from sph_stab_ros.images.codec import ImageError
-from sph_stab_ros.operator.camera_rung import CameraRung
-from sph_stab_ros.operator.flow import FlowGroup, VideoFlow
+from sph_stab_ros.operator.camera_video import CameraRung
+from sph_stab_ros.operator.flow_control import FlowGroup, VideoFlow
 from sph_stab_ros.operator.h264 import H264Encoder, SOFTWARE
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.rate_control import MIN_BIT_RATE

@@ -20,8 +20,8 @@ from sph_stab_ros.images.codec import ImageError, stamp_and_frame
 from sph_stab_ros.images.frame import Frame, PictureSource
 from sph_stab_ros.images.image_error import DecoderMissing
 from sph_stab_ros.images.message_decoder import MessageDecoder
+from sph_stab_ros.images.picture_clock import PictureClock
 from sph_stab_ros.images.picture_time import Stamp
-from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.images.video.decoder import NO_KEY
 from sph_stab_ros.images.video.picture import VideoPicture
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch

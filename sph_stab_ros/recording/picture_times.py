@@ -16,9 +16,9 @@ import math
 from typing import TypeVar
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
-from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
-from sph_stab_ros.images.times import (
+from sph_stab_ros.images.picture_clock import (
     MAX_DELAY_NS, MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock)
+from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
 from sph_stab_ros.recording.base import EmptyStretch, Stretch
 
 logger = logging.getLogger(__name__)

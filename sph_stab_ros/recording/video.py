@@ -19,8 +19,8 @@ from sph_stab_ros.config import NOT_JOINED
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.images.joined import tracks_of
+from sph_stab_ros.images.picture_clock import PictureClock
 from sph_stab_ros.images.picture_time import PictureTime
-from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.images.video.picture import side_data_of, tagged_colour, VideoPicture
 from sph_stab_ros.recording.base import RecordingError, SkipLog, Stretch
 from sph_stab_ros.recording.joined import joined

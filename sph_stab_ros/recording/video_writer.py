@@ -22,9 +22,9 @@ from sph_stab_ros.config import EncoderConfig
 from sph_stab_ros.geometry.arrays import Raster
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.images.colour import Colour, from_bgr, STANDARD
+from sph_stab_ros.images.picture_clock import PictureClock
 from sph_stab_ros.images.picture_time import Stamp
 from sph_stab_ros.images.side_by_side import as_bgr
-from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.images.video.encoders import EncoderError, FORMATS, usable_format
 from sph_stab_ros.images.video.picture import plane_of, range_tag
 from sph_stab_ros.recording.base import RecordingError

@@ -19,7 +19,7 @@ from sph_stab_ros.geometry.layout import Layout
 from sph_stab_ros.images.codec import ImageError, stamp_and_frame, video_codec
 from sph_stab_ros.images.frame import Frame, PictureSource, source_from_message
 from sph_stab_ros.images.joined import JoinedPicture
-from sph_stab_ros.images.jpeg import JpegFile
+from sph_stab_ros.images.jpeg_file import JpegFile
 from sph_stab_ros.images.message_decoder import MessageDecoder
 from sph_stab_ros.images.picture_time import PictureTime, Stamp
 from sph_stab_ros.images.video.picture import VideoPicture

@@ -56,8 +56,8 @@ from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.masks import MaskError
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.images.codec import ImageError
+from sph_stab_ros.images.picture_clock import PictureClock
 from sph_stab_ros.images.picture_time import PictureTime, Stamp, TimeEvent, told
-from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.ros.diagnostics import Diagnostics, LOG_PERIOD_S, ThrottledLog
 from sph_stab_ros.ros.image_input import ImageInput, ReceivedImage
 from sph_stab_ros.ros.imu_input import ImuInput

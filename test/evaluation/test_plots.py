@@ -23,7 +23,7 @@ from sph_stab_ros.tracking.frame_to_frame.estimators import RotationEstimate
 from synthetic import point_pairs, textured_sphere
 
 pytest.importorskip('matplotlib')
-flow_figures = pytest.importorskip('sph_stab_ros.evaluation.flow_figures')
+paper_figures = pytest.importorskip('sph_stab_ros.evaluation.paper_figures')
 plots = pytest.importorskip('sph_stab_ros.evaluation.plots')
 
 R_CURRENT_PREVIOUS = Rotation.from_rotvec((0.02, -0.03, 0.01))
@@ -45,7 +45,7 @@ def example():
     """Return an Example whose flow obeys a known rotation and epipole exactly."""
     pairs = point_pairs(np.random.default_rng(0), R_CURRENT_PREVIOUS, 0.2 * EPIPOLE)
     previous, current = textured_sphere(160), textured_sphere(160, R_CURRENT_PREVIOUS.inv())
-    return flow_figures.Example(1.5, previous, current, pairs, RotationEstimate(
+    return paper_figures.Example(1.5, previous, current, pairs, RotationEstimate(
         R_CURRENT_PREVIOUS, 0., len(pairs), EPIPOLE))
 
 
@@ -81,15 +81,15 @@ def test_bars_are_as_high_as_the_errors(measured):
 
 
 def test_error_surface_is_lowest_at_the_true_motion(example):
-    lowest = flow_figures.cost_deg(example.pairs, R_CURRENT_PREVIOUS, EPIPOLE)
+    lowest = paper_figures.cost_deg(example.pairs, R_CURRENT_PREVIOUS, EPIPOLE)
     assert lowest == pytest.approx(0, abs=1e-4)
     aside = Rotation.from_rotvec((0.01, 0, 0)) * R_CURRENT_PREVIOUS
-    assert flow_figures.cost_deg(example.pairs, aside, EPIPOLE) > 3
-    assert flow_figures.cost_deg(example.pairs, R_CURRENT_PREVIOUS, (0, 0, 1)) > 3
+    assert paper_figures.cost_deg(example.pairs, aside, EPIPOLE) > 3
+    assert paper_figures.cost_deg(example.pairs, R_CURRENT_PREVIOUS, (0, 0, 1)) > 3
 
 
 def test_figures_of_flow_are_written(example, tmp_path):
-    flow_figures.draw(tmp_path, 'bag', example)
+    paper_figures.draw(tmp_path, 'bag', example)
     written = sorted(path.name for path in tmp_path.iterdir())
     assert written == ['derotation.png', 'error_surface.png', 'flow_field.png']
     for name in written:
@@ -97,8 +97,8 @@ def test_figures_of_flow_are_written(example, tmp_path):
 
 
 def test_figures_of_flow_are_labelled_in_degrees(example):
-    for figure in (flow_figures.derotation_figure(example),
-                   flow_figures.error_surface_figure(example)):
+    for figure in (paper_figures.derotation_figure(example),
+                   paper_figures.error_surface_figure(example)):
         assert labels(figure)
         assert all('[deg]' in label for label in labels(figure))
 
@@ -119,7 +119,7 @@ class Pictures:
 
 def test_pictures_without_parallax_are_no_example():
     turning = [textured_sphere(256, Rotation.from_rotvec((0, 0.02 * n, 0))) for n in range(3)]
-    assert flow_figures.find_example(Pictures(*turning), 3) is None
+    assert paper_figures.find_example(Pictures(*turning), 3) is None
 
 
 def test_evaluate_draws_into_a_folder(turning_bag, tmp_path, capsys):

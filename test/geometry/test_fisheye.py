@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import DUAL_FISHEYE, FisheyeConfig, LensConfig, StabilizerConfig
 from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.fisheye import dual_fisheye
-from sph_stab_ros.geometry.lens import lens_of
+from sph_stab_ros.geometry.lens_model import lens_of
 from sph_stab_ros.geometry.projection import TOLERANCE_PX
 from sph_stab_ros.geometry.projection_factory import ProjectionError
 from sph_stab_ros.geometry.warp import (

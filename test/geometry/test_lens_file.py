@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from sph_stab_ros.calibration.file import read_calibration
 from sph_stab_ros.config import (
     DUAL_FISHEYE, EQUISOLID, FISHEYE, FisheyeConfig, LensConfig, StabilizerConfig)
-from sph_stab_ros.geometry.lens import lens_of
+from sph_stab_ros.geometry.lens_model import lens_of
 from sph_stab_ros.geometry.projection_factory import check_projection, projection_of
 from sph_stab_ros.replay import arguments
 from synthetic import unit

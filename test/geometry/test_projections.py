@@ -62,7 +62,7 @@ def is_inside(projection, xyz):
 def psnr_db(a, b, used):
     """Return the peak signal-to-noise ratio of two pictures at pixels (h, w) bool."""
     error = a.astype(float)[used] - b[used]
-    return 10 * np.log10(255 ** 2 / np.mean(error ** 2))
+    return 10 * np.log10(255 ** 2 / max(np.mean(error ** 2), 1e-12))
 
 
 @EACH

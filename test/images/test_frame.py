@@ -18,7 +18,7 @@ import pytest
 from sph_stab_ros.geometry.projection import Equirect
 from sph_stab_ros.images.codec import decoded, encode_jpeg, image_from_compressed, ImageError
 from sph_stab_ros.images.frame import Frame, frame_from_message
-from sph_stab_ros.images.jpeg import JpegFile
+from sph_stab_ros.images.jpeg_file import JpegFile
 from sph_stab_ros.images.picture_size import jpeg_size
 from tiny_recordings import textured_sphere
 
@@ -100,7 +100,7 @@ def test_a_frame_can_be_changed_whatever_it_is_made_of(image):
 
 def test_a_frame_is_decoded_once_and_when_it_is_asked_for():
     frame = Frame(JpegFile(jpeg(textured_sphere(128))), 5)
-    with mock.patch('sph_stab_ros.images.jpeg.decoded', wraps=decoded) as decode:
+    with mock.patch('sph_stab_ros.images.jpeg_file.decoded', wraps=decoded) as decode:
         assert frame.size_wh == (128, 64)
         decode.assert_not_called()
         assert frame.image is frame.image is replace(frame, frame_id='camera').image

@@ -25,7 +25,7 @@ av = pytest.importorskip('av')
 from live_sender import BY_CLOCK, painted_number, sending  # noqa: E402, I100
 from rtsp_server import rtsp_server  # noqa: E402
 from sph_stab_ros.config import NOT_JOINED  # noqa: E402
-from sph_stab_ros.images.jpeg import JpegFile  # noqa: E402
+from sph_stab_ros.images.jpeg_file import JpegFile  # noqa: E402
 from sph_stab_ros.images.video.decoder import NO_KEY  # noqa: E402
 from sph_stab_ros.live.address import address_of, Kind, SourceError  # noqa: E402
 from sph_stab_ros.live.capture_clock import ARRIVAL, SENDER  # noqa: E402

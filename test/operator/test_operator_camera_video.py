@@ -17,7 +17,7 @@ av = pytest.importorskip('av', reason='PyAV is not installed')
 from encoded_video import COUNT, encode, KEY_PERIOD, stream, WIDTH  # noqa: E402, I100
 from operator_camera import (  # noqa: E402
     CAMERA_BIT_RATE, check_camera_s_own, number_of, with_camera)
-from sph_stab_ros.operator.camera_rung import ENOUGH  # noqa: E402
+from sph_stab_ros.operator.camera_video import ENOUGH  # noqa: E402
 from tiny_recordings import turning_spheres  # noqa: E402
 
 

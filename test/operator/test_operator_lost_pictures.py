@@ -16,7 +16,7 @@ import pytest
 
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from operator_site import picture  # noqa: E402, I100
-from sph_stab_ros.operator.flow import (  # noqa: E402
+from sph_stab_ros.operator.flow_control import (  # noqa: E402
     KEY_PERIOD_S, MAX_QUEUE_S, VideoFlow)
 from sph_stab_ros.operator.protocol import Arrived  # noqa: E402
 
@@ -33,7 +33,7 @@ class LossyLink:
         self._sequence = self._last = self._told_s = 0
         # When each arrives, and what is to be done then.
         self._on_the_way = deque()
-        # What the page has, as Messages of pieces.js: by number what each needs.
+        # What the page has, as Messages of error_correction.js: by number what each needs.
         self._whole, self.usable, self.newest = {}, 0, 0
         self.used = []
 

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 from operator_site import next_picture, picture, served, TIMEOUT_S  # noqa: E402, I100
-from sph_stab_ros.operator.flow import MAX_UNDRAWN  # noqa: E402
+from sph_stab_ros.operator.flow_control import MAX_UNDRAWN  # noqa: E402
 from sph_stab_ros.operator.pairing import Picture  # noqa: E402
 
 

@@ -20,7 +20,7 @@ av = pytest.importorskip('av', reason='PyAV is not installed')
 from operator_site import picture, striped_jpeg  # noqa: E402, I100
 from sph_stab_ros.images.codec import ImageError  # noqa: E402
 from sph_stab_ros.operator import h264  # noqa: E402
-from sph_stab_ros.operator.flow import MAX_VIDEO_UNDRAWN, VideoFlow  # noqa: E402
+from sph_stab_ros.operator.flow_control import MAX_VIDEO_UNDRAWN, VideoFlow  # noqa: E402
 from sph_stab_ros.operator.h264 import H264Encoder, MAX_COLUMNS  # noqa: E402
 from sph_stab_ros.operator.pairing import Picture  # noqa: E402
 from sph_stab_ros.operator.rate_control import (  # noqa: E402

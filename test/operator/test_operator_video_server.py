@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip('aiohttp', reason='aiohttp is not installed')
 pytest.importorskip('av', reason='PyAV is not installed')
 from operator_site import site, striped_jpeg, TIMEOUT_S  # noqa: E402, I100
-from sph_stab_ros.operator.flow import MAX_VIDEO_UNDRAWN  # noqa: E402
+from sph_stab_ros.operator.flow_control import MAX_VIDEO_UNDRAWN  # noqa: E402
 from sph_stab_ros.operator.pairing import Picture  # noqa: E402
 from sph_stab_ros.operator.video import Video  # noqa: E402
 

@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import ImuConfig, SmoothingConfig, StabilizerConfig, TrackerConfig
 from sph_stab_ros.images.frame import Frame
+from sph_stab_ros.images.picture_clock import PictureClock
 from sph_stab_ros.images.picture_time import Stamp
-from sph_stab_ros.images.times import PictureClock
 from sph_stab_ros.recording.picture_times import with_times
 from sph_stab_ros.stabilization.imu import ImuSample, mount_rotation
 from sph_stab_ros.stabilization.pipeline import Stabilizer

@@ -29,7 +29,7 @@ import time
 ROOT = Path(__file__).resolve().parents[2]
 # The laws of stamps are stated on random sequences, too.
 TESTS = [*sorted((ROOT / 'test' / 'fuzz').glob('test_fuzz_*.py')),
-         ROOT / 'test' / 'images' / 'test_times.py']
+         ROOT / 'test' / 'images' / 'test_picture_clock.py']
 # For so long an input may be tried.
 HANG_S = 120.
 # All that a process may map, libraries included.

@@ -3,7 +3,7 @@
 
 // A video by datagrams (WebTransport), beside the WebSocket, which has told how to get there.
 
-import {Messages} from './pieces.js';
+import {Messages} from './error_correction.js';
 
 // What may get lost is said again so often. After a silence it also tells the server that there is a
 // way again.

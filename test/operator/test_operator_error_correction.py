@@ -14,7 +14,7 @@ from random import Random
 from struct import pack
 
 import pytest
-from sph_stab_ros.operator.pieces import group_pieces, HEADER, PIECE_BYTES, pieces
+from sph_stab_ros.operator.error_correction import group_pieces, HEADER, PIECE_BYTES, pieces
 
 pytest.importorskip('rclpy', reason='rclpy is not installed')
 from bare_page import bare_page  # noqa: E402, I100
@@ -27,7 +27,7 @@ LENGTHS = [1, PIECE_BYTES, PIECE_BYTES + 1, 3 * PIECE_BYTES - 7,
            2 * PER_GROUP * PIECE_BYTES, 2 * PER_GROUP * PIECE_BYTES + 5]
 # Hears datagrams; tells what can be used, and how far it is.
 HEAR = """async datagrams => {
-    const {Messages} = await import('/pieces.js'), got = [];
+    const {Messages} = await import('/error_correction.js'), got = [];
     const messages = new Messages(one => got.push(one.toBase64 ? one.toBase64()
         : btoa(Array.from(one, value => String.fromCharCode(value)).join(''))));
     for (const one of datagrams) {

@@ -17,7 +17,7 @@ from sph_stab_ros.geometry.warp import view_rotation
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.recording import open_recording, RecordingError
 from sph_stab_ros.recording.bag_writer import BagWriter
-from sph_stab_ros.stabilization.directions import (
+from sph_stab_ros.stabilization.film_directions import (
     DirectionPath, read_directions, recorded_directions)
 from sph_stab_ros.stabilization.steering import view_angles
 from tiny_recordings import START_NS, textured_sphere

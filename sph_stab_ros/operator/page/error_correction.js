@@ -1,7 +1,7 @@
 // Copyright 2026 The sph_stab_ros developers
 // SPDX-License-Identifier: Apache-2.0
 
-// Messages out of pieces of which some got lost; pieces.py says what these are.
+// Messages out of pieces of which some got lost; error_correction.py says what these are.
 
 const PIECE_BYTES = 1100, HEADER_BYTES = 15;
 // More is no picture's.

@@ -10,7 +10,7 @@
 
 from dataclasses import replace
 
-from sph_stab_ros.operator.flow import FlowGroup, VideoFlow
+from sph_stab_ros.operator.flow_control import FlowGroup, VideoFlow
 from sph_stab_ros.operator.pairing import Picture
 
 # Who has come down to this share of the camera's bit rate leaves.

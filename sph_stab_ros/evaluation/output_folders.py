@@ -22,15 +22,15 @@ logger = logging.getLogger(__name__)
 
 def draw(folder: Path, recording: Recording, errors: Mapping[str, Errors]) -> None:
     """Write the figures: of the errors, and of flow on the sphere as the paper shows it."""
-    from sph_stab_ros.evaluation import flow_figures, plots
+    from sph_stab_ros.evaluation import paper_figures, plots
     plots.draw(folder, recording.name, errors)
     most_frames = max(len(estimator_errors.time_s) for estimator_errors in errors.values())
-    example = flow_figures.find_example(recording, most_frames)
+    example = paper_figures.find_example(recording, most_frames)
     if example is None:
         logger.warning('%s: no figures of flow: no two pictures show enough parallax',
                        recording.name)
     else:
-        flow_figures.draw(folder, recording.name, example)
+        paper_figures.draw(folder, recording.name, example)
 
 
 def write_trajectories(folder: Path, errors: Mapping[str, Errors]) -> None:

@@ -11,8 +11,8 @@
 from itertools import accumulate
 
 from hypothesis import assume, given, strategies as st
+from sph_stab_ros.images.picture_clock import MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock
 from sph_stab_ros.images.picture_time import Stamp, TimeEvent
-from sph_stab_ros.images.times import MAX_JITTER_NS, MAX_PAUSE_NS, PictureClock
 from sph_stab_ros.recording.picture_times import LOOKAHEAD, PlayingTime
 
 NS_PER_S = 10**9
