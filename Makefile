@@ -11,8 +11,8 @@ EVALUATE := $(PY) -m sph_stab_ros.evaluate --flows farneback,dis
 SIMULATE := $(PY) -m sph_stab_ros.simulation
 RENDER := $(BPY) tools/photoreal/render.py
 RESULTS := results/evaluation
-PAGE_TABLES := $(PY) -m sph_stab_ros.evaluation.page_tables
-FILL_IN_TABLES := $(PAGE_TABLES) $(RESULTS) docs/evaluation.md
+DOCS_TABLES := $(PY) -m sph_stab_ros.evaluation.docs_tables
+FILL_IN_TABLES := $(DOCS_TABLES) $(RESULTS) docs/evaluation.md
 
 # The virtual environments bring their own ROS 2; one that the shell has sourced must not mix in.
 unexport PYTHONPATH LD_LIBRARY_PATH COLCON_PREFIX_PATH RMW_IMPLEMENTATION
@@ -58,7 +58,7 @@ coverage: setup  ## Run what needs no ROS, and tell in docs/tests.md what that c
 	mkdir -p results/coverage
 	$(PY) $(PYTEST) -m 'not slow and not ros and not browser' --cov --cov-report=html:results/coverage/html \
 	    --cov-report=json:results/coverage/coverage.json
-	$(PAGE_TABLES) results/coverage docs/tests.md
+	$(DOCS_TABLES) results/coverage docs/tests.md
 
 ledger: setup  ## Write test/ledger.json, the accuracy measured; ONLY='drone anchored' for a part
 	$(PY) test/support/tracking_accuracy.py $(ONLY)
@@ -117,7 +117,7 @@ evaluation-rolling: setup  ## With a rolling shutter, not told of and told, on t
 	    $(call ROLLED,$$one) --json $(RESULTS)/rolling_$$one.json && \
 	    $(call ROLLED,$$one) -p rolling_shutter_s:=0.02 --json $(RESULTS)/rolling_$${one}_told.json \
 	    || exit 1; done
-	$(PAGE_TABLES) $(RESULTS) docs/cameras.md
+	$(DOCS_TABLES) $(RESULTS) docs/cameras.md
 
 evaluation-hard: setup  ## The same on what make hard has written
 	mkdir -p $(RESULTS)
@@ -134,7 +134,7 @@ test-oldest: .venv-oldest/complete  ## Run all tests with the oldest supported N
 benchmark: setup  ## Time stages, pipelines, long recordings, others' methods; half an hour
 	mkdir -p results/benchmark
 	$(PY) -m sph_stab_ros.benchmark --json results/benchmark/benchmark.json
-	$(PAGE_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md docs/cameras.md
+	$(DOCS_TABLES) results/benchmark docs/evaluation.md docs/benchmark.md docs/cameras.md
 
 ROS_JSON := results/benchmark-ros/benchmark_ros.json
 NODE := $(PY) -m sph_stab_ros.benchmark.node --profile config/fastdds_large_images.xml
@@ -161,7 +161,7 @@ benchmark-ros: setup  ## Measure the node end to end, through the middleware, an
 	    $(LATENCY) --link 6 0.04 0 --key link_whole; \
 	  else echo "without root the page is not measured over a bad link"; fi; \
 	else echo "without chromium the operator's page is not measured"; fi
-	$(PAGE_TABLES) results/benchmark-ros docs/node.md docs/benchmark.md docs/operator.md
+	$(DOCS_TABLES) results/benchmark-ros docs/node.md docs/benchmark.md docs/operator.md
 
 BEFORE ?= HEAD~1
 
@@ -182,15 +182,15 @@ benchmark-before: setup  ## Stages, pipelines and node at the commit BEFORE and 
 benchmark-batch: setup  ## What an hour of footage costs batch, and what segments do; minutes
 	mkdir -p results/benchmark-batch
 	$(PY) -m sph_stab_ros.benchmark.batch --json results/benchmark-batch/batch.json
-	$(PAGE_TABLES) results/benchmark-batch docs/scale.md
+	$(DOCS_TABLES) results/benchmark-batch docs/scale.md
 
 soak: setup  ## Let the node run for ten minutes while everything around it changes
 	mkdir -p results/soak
 	$(PY) -m sph_stab_ros.benchmark.soak --json results/soak/soak.json
-	$(PAGE_TABLES) results/soak docs/node.md
+	$(DOCS_TABLES) results/soak docs/node.md
 
 stated-tables: setup  ## Fill in the tables of docs/measured, which no target measures
-	$(PAGE_TABLES) docs/measured README.md
+	$(DOCS_TABLES) docs/measured README.md
 
 frames:  ## Render the pictures of the recordings into FRAMES by tools/photoreal; resumes
 	$(RENDER) drone '$(FRAMES)/drone' --logs '$(LOGS)' --frames 500
@@ -246,7 +246,7 @@ benchmark-company: setup  ## How exact others' methods are on the same; minutes 
 	for one in $(COMPANY); do \
 	    $(PY) -m sph_stab_ros.benchmark $$one --parts references \
 	    --json results/benchmark/company/$$(basename $$one).json || exit 1; done
-	$(PAGE_TABLES) results/benchmark docs/benchmark.md
+	$(DOCS_TABLES) results/benchmark docs/benchmark.md
 
 ablation: setup  ## What each part of anchored is worth, on bags and what make company has written
 	mkdir -p $(RESULTS)

@@ -42,8 +42,8 @@ from sph_stab_ros.command_line import Parser, run
 from sph_stab_ros.command_line.processes import running
 from sph_stab_ros.evaluation import plots
 from sph_stab_ros.evaluation.alignment import align_trajectories, EvaluationError
-from sph_stab_ros.evaluation.errors import compare
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.orientation_errors import compare
 from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.geometry.trajectory import Trajectory
 from sph_stab_ros.images.codec import ImageError

@@ -36,16 +36,16 @@ from sph_stab_ros.config import (
 from sph_stab_ros.evaluation import report
 from sph_stab_ros.evaluation.alignment import Alignment, EvaluationError
 from sph_stab_ros.evaluation.arguments import clock_argument, frames_argument, mount_argument
-from sph_stab_ros.evaluation.errors import Errors
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.orientation_errors import Errors
 from sph_stab_ros.evaluation.output_folders import draw, make_folder, write_trajectories
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import evaluate_against_truth, evaluate_injected, Progress
 from sph_stab_ros.evaluation.stitched import Stitched
 from sph_stab_ros.evaluation.telemetry_truth import is_of_gyro
 from sph_stab_ros.geometry.masks import load_mask, MaskError
+from sph_stab_ros.images.appearance_watch import PictureWatch
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output
 from sph_stab_ros.stabilization.recorded_imu import find_imu_topic

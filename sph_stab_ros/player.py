@@ -46,9 +46,9 @@ from sph_stab_ros.command_line.process_setup import bounded_ending
 from sph_stab_ros.config import AUTO, EQUIRECT, NodeConfig, NOT_JOINED, Settings
 from sph_stab_ros.geometry.conventions import NS_PER_S, stamp_ns
 from sph_stab_ros.geometry.projection_factory import ProjectionError
+from sph_stab_ros.images.appearance_watch import PictureWatch
 from sph_stab_ros.images.codec import fill_compressed, fill_image
 from sph_stab_ros.images.picture_time import duration
-from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.sphere import stitched
 from sph_stab_ros.recording import open_recording, Recording, RecordingError
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE, IMAGE

@@ -36,7 +36,7 @@ from sph_stab_ros.command_line.parameters import (
 from sph_stab_ros.config import (
     ANCHORED, ConfigError, IMU, Settings, StabilizerConfig, VIEW, VIEW_NAME)
 from sph_stab_ros.geometry.arrays import Image
-from sph_stab_ros.images.picture_watch import PictureWatch
+from sph_stab_ros.images.appearance_watch import PictureWatch
 from sph_stab_ros.images.side_by_side import side_by_side
 from sph_stab_ros.recording import Recording, STANDARD_INPUT
 from sph_stab_ros.recording.partial_output import partial_output

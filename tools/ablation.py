@@ -12,8 +12,8 @@ import numpy as np
 
 from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.evaluation.alignment import Alignment
-from sph_stab_ros.evaluation.errors import compare
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.orientation_errors import compare
 from sph_stab_ros.evaluation.runs import Run
 from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
 from sph_stab_ros.recording import open_recording

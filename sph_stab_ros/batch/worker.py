@@ -36,8 +36,8 @@ from sph_stab_ros.batch.tasks import Task
 from sph_stab_ros.command_line import is_out_of_memory
 from sph_stab_ros.command_line.process_setup import set_up_process
 from sph_stab_ros.evaluation.alignment import align_trajectories, EvaluationError
-from sph_stab_ros.evaluation.errors import compare
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.orientation_errors import compare
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.geometry.trajectory import read_tum
 from sph_stab_ros.images.frame import Frame

@@ -25,8 +25,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import ANCHORED, StabilizerConfig, TrackerConfig
-from sph_stab_ros.evaluation.errors import compare
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.orientation_errors import compare
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.runs import evaluate_against_truth, increasing
 from sph_stab_ros.geometry.arrays import (

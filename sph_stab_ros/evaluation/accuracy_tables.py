@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The rows of tables of accuracy and of coverage, see page_tables."""
+"""The rows of tables of accuracy and of coverage, see docs_tables."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence

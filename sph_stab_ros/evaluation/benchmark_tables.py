@@ -6,7 +6,7 @@
 # WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the specific
 # language governing permissions and limitations under the License.
 
-"""The rows of tables of times, of loads, and of what others measured, see page_tables."""
+"""The rows of tables of times, of loads, and of what others measured, see docs_tables."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

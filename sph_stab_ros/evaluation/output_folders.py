@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import logging
 from pathlib import Path
 
-from sph_stab_ros.evaluation.errors import Errors
+from sph_stab_ros.evaluation.orientation_errors import Errors
 from sph_stab_ros.geometry.trajectory import write_tum
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.recording.partial_output import partial_output

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 import numpy as np
 
-from sph_stab_ros.evaluation.errors import Errors
+from sph_stab_ros.evaluation.orientation_errors import Errors
 from sph_stab_ros.geometry.arrays import Values
 
 AXES = ('roll', 'pitch', 'yaw')

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from sph_stab_ros.evaluation.errors import roll_pitch_yaw_deg
+from sph_stab_ros.evaluation.orientation_errors import roll_pitch_yaw_deg
 from sph_stab_ros.evaluation.plots import AXES, COLOURS
 from sph_stab_ros.evaluation.replay_log import ReplayLog
 from sph_stab_ros.tracking.base import MAX_OK_SIGMA_RAD

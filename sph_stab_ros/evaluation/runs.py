@@ -18,13 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.evaluation.alignment import align_trajectories, Alignment, EvaluationError
-from sph_stab_ros.evaluation.errors import compare, Errors
 from sph_stab_ros.evaluation.injection import injected_rotations, ShakenStabilizer
+from sph_stab_ros.evaluation.orientation_errors import compare, Errors
 from sph_stab_ros.evaluation.report import Figures
 from sph_stab_ros.evaluation.telemetry_truth import align_gyro, without_bias
 from sph_stab_ros.geometry.trajectory import Trajectory
+from sph_stab_ros.images.appearance_watch import PictureWatch
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.pipeline import Stabilizer

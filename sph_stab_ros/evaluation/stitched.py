@@ -20,9 +20,9 @@ import logging
 
 from sph_stab_ros.config import MIN_WIDTH, StabilizerConfig
 from sph_stab_ros.geometry.projection_factory import projection_of, ProjectionError
+from sph_stab_ros.images.appearance_watch import PictureWatch
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.images.sphere import as_sphere, config_for, stitched
 from sph_stab_ros.recording.base import Recording, SkipLog
 from sph_stab_ros.recording.telemetry import Telemetry

@@ -11,6 +11,6 @@ The operator's page: a web server that brings the camera to a browser and the lo
 
 ``page/`` is what the browser runs: it derotates the camera's own picture and looks around in it.
 ``pairing``, ``protocol``, ``client`` and ``server`` know no ROS; ``robot`` is the other end, and
-``operated_robot`` what the server asks of it. Pictures flow to a browser (``flow``) as files or as
-a ``video`` (``h264``), at the rate that it can take (``rate_control``).
+``robot_interface`` what the server asks of it. Pictures go to a browser as files or as a ``video``
+(``h264``), no more of them than it can take (``flow_control``, ``rate_control``).
 """

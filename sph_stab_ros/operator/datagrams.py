@@ -10,7 +10,7 @@
 Pictures of a video by datagrams: WebTransport, that is HTTP/3 over QUIC.
 
 Beside a browser's WebSocket, which stays for all else and tells the browser how to get here. What
-a lost packet had in it does not hold up what comes behind: see ``pieces``.
+a lost packet had in it does not hold up what comes behind: see ``error_correction``.
 """
 
 import asyncio

@@ -10,7 +10,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from sph_stab_ros.operator.operated_robot import Watcher
+from sph_stab_ros.operator.robot_interface import Watcher
 
 # Of a Link, as diagnostics name them.
 NAMES = {'drawn': 'drawn_hz', 'dropped': 'dropped_hz', 'mbit_s': 'received_mbit_s',

@@ -28,8 +28,8 @@ from rosbags.rosbag2 import WriterError
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.images.codec import kind_of_file
-from sph_stab_ros.operator.operated_robot import RobotError
 from sph_stab_ros.operator.pairing import Picture
+from sph_stab_ros.operator.robot_interface import RobotError
 from sph_stab_ros.recording.bag_writer import BagWriter
 from sph_stab_ros.recording.messages import COMPRESSED_IMAGE
 

@@ -35,9 +35,9 @@ from sph_stab_ros.config import MODES
 from sph_stab_ros.geometry.conventions import stamp_ns
 from sph_stab_ros.operator.camera_pictures import CameraPictures
 from sph_stab_ros.operator.link_status import link_status
-from sph_stab_ros.operator.operated_robot import RobotError, Watcher
 from sph_stab_ros.operator.pairing import (
     Pairing, Picture, StampedOrientations, UnitQuaternion)
+from sph_stab_ros.operator.robot_interface import RobotError, Watcher
 from sph_stab_ros.ros.diagnostics import ThrottledLog
 from sph_stab_ros.ros.messages import rotation_from_message
 from sph_stab_ros.ros.topics import compressed_topic, subscribe_to_images

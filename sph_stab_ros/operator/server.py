@@ -23,13 +23,13 @@ from sph_stab_ros.operator.access import Access, ConnectionGuard, ServerLog
 from sph_stab_ros.operator.browser_socket import BrowserSocket, CLOSING_S
 from sph_stab_ros.operator.client import Client
 from sph_stab_ros.operator.listening import Listener
-from sph_stab_ros.operator.operated_robot import OperatedRobot, RobotError, Watcher
 from sph_stab_ros.operator.page_files import add_headers, PageFiles
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.protocol import (
     Arrived, Command, Drawn, Echo, Level, Link, Look, MAX_MESSAGE_BYTES, NeedKey, parse_command,
     ProtocolError, Record, ResetHeading, SetMode, Skipped, TakeControl, text_message)
 from sph_stab_ros.operator.recorder import Recorder
+from sph_stab_ros.operator.robot_interface import OperatedRobot, RobotError, Watcher
 
 if TYPE_CHECKING:
     from sph_stab_ros.operator.datagrams import Datagrams

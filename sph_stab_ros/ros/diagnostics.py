@@ -20,8 +20,8 @@ import numpy as np
 from sph_stab_ros.config import StabilizerConfig
 from sph_stab_ros.geometry.arrays import Covariance, Mask, Vector
 from sph_stab_ros.geometry.masks import share_of_sphere
+from sph_stab_ros.images.appearance_watch import PictureWatch
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.ros.cpu_meter import CpuMeter
 from sph_stab_ros.stabilization.stabilized_frame import StabilizationEvent, StabilizedFrame
 from sph_stab_ros.tracking import Tracker, TrackingStatus

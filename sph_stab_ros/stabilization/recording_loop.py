@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.geometry.conventions import NS_PER_S
 from sph_stab_ros.geometry.projection_factory import ProjectionError
+from sph_stab_ros.images.appearance_watch import PictureWatch
 from sph_stab_ros.images.codec import ImageError
 from sph_stab_ros.images.colour import Colour
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_watch import PictureWatch
 from sph_stab_ros.recording import Recording, RecordingError
 from sph_stab_ros.stabilization.imu import ImuSample
 from sph_stab_ros.stabilization.recorded_imu import RecordedImu

@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip('av')
 
 from sph_stab_ros.benchmark import batch  # noqa: E402, I100
-from sph_stab_ros.evaluation.page_tables import filled  # noqa: E402
+from sph_stab_ros.evaluation.docs_tables import filled  # noqa: E402
 from sph_stab_ros.simulation.__main__ import main as simulate  # noqa: E402
 
 FRAMES = 15

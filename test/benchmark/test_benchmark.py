@@ -20,7 +20,7 @@ from sph_stab_ros.benchmark.calls import inputs, medians, stage_calls
 from sph_stab_ros.benchmark.growth import growth
 from sph_stab_ros.benchmark.references import (
     FIVE_POINT, is_there, relative_rotation, structure_from_motion)
-from sph_stab_ros.evaluation.page_tables import filled
+from sph_stab_ros.evaluation.docs_tables import filled
 from sph_stab_ros.geometry.projection import to_grey
 from sph_stab_ros.recording import RecordingError
 from sph_stab_ros.tracking import TrackedOrientation, TrackingStatus

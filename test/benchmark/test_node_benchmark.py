@@ -21,7 +21,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed')
 from node_harness import DOMAINS  # noqa: E402, I100
 from sph_stab_ros.benchmark.node import figures, Heard, main, percentiles  # noqa: E402
 from sph_stab_ros.benchmark.node_scenario import MemoryRecording, Scenario  # noqa: E402
-from sph_stab_ros.evaluation.page_tables import filled  # noqa: E402
+from sph_stab_ros.evaluation.docs_tables import filled  # noqa: E402
 
 PROFILE = Path(__file__).resolve().parents[2] / 'config' / 'fastdds_large_images.xml'
 KEYS = {'orientations', 'images', 'latency_ms', 'cpu_percent', 'drops'}

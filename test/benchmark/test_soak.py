@@ -21,7 +21,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed')
 
 from node_harness import DOMAINS  # noqa: E402, I100
 from sph_stab_ros.benchmark.soak import CHANGES, failures, fitted_line, main  # noqa: E402
-from sph_stab_ros.evaluation.page_tables import filled  # noqa: E402
+from sph_stab_ros.evaluation.docs_tables import filled  # noqa: E402
 
 GOOD = {'failures': [], 'longest_gap_s': 1.1, 'beats_without_frames': 0, 'memory_mb': 100.,
         'memory_growth_mb': 0.5, 'exit_status': {'node': 0, 'player': 0}}

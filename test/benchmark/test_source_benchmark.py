@@ -18,7 +18,7 @@ av = pytest.importorskip('av')
 
 from node_harness import DOMAINS  # noqa: E402, I100
 from sph_stab_ros.benchmark.source import figures, main, sent_frames  # noqa: E402
-from sph_stab_ros.evaluation.page_tables import filled  # noqa: E402
+from sph_stab_ros.evaluation.docs_tables import filled  # noqa: E402
 
 MS = 1_000_000
 

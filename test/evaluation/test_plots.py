@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.evaluate import main
-from sph_stab_ros.evaluation.errors import errors
+from sph_stab_ros.evaluation.orientation_errors import errors
 from sph_stab_ros.images.frame import Frame
 from sph_stab_ros.tracking.frame_to_frame.estimators import RotationEstimate
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from sph_stab_ros.evaluation.alignment import (
     align_trajectories, Alignment, EvaluationError, has_truth)
-from sph_stab_ros.evaluation.errors import compare
+from sph_stab_ros.evaluation.orientation_errors import compare
 from sph_stab_ros.evaluation.runs import increasing
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.trajectory import Trajectory

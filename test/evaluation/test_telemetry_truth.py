@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.evaluate import main
-from sph_stab_ros.evaluation.errors import compare
+from sph_stab_ros.evaluation.orientation_errors import compare
 from sph_stab_ros.evaluation.telemetry_truth import align_gyro, integrated, without_bias
 from sph_stab_ros.geometry.conventions import NS_PER_S, R_BODY_CAMERA
 from sph_stab_ros.geometry.trajectory import Trajectory

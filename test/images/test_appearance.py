@@ -20,8 +20,8 @@ from sph_stab_ros.config import DUAL_FISHEYE, FisheyeConfig, LensConfig, Stabili
 from sph_stab_ros.geometry.equirect import bearing_grid
 from sph_stab_ros.geometry.warp import rotate_equirect
 from sph_stab_ros.images.appearance import Appearance, reduced, Seen, seen_in
+from sph_stab_ros.images.appearance_watch import AGREEING, FIRST, PictureWatch, SELDOM
 from sph_stab_ros.images.frame import Frame
-from sph_stab_ros.images.picture_watch import AGREEING, FIRST, PictureWatch, SELDOM
 from sph_stab_ros.recording import open_recording
 from synthetic import textured_sphere
 

@@ -26,8 +26,8 @@ import rclpy  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from sph_stab_ros.operator.link_status import link_status  # noqa: E402
-from sph_stab_ros.operator.operated_robot import Watcher  # noqa: E402
 from sph_stab_ros.operator.protocol import Link  # noqa: E402
+from sph_stab_ros.operator.robot_interface import Watcher  # noqa: E402
 
 FIGURES = {'drawn': 29.5, 'dropped': 0.5, 'mbit_s': 3.21, 'latency_ms': 80.4,
            'latency_p95_ms': 134, 'round_trip_ms': None}

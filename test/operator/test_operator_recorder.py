@@ -30,9 +30,9 @@ from operator_harness import DISC_RAD, wait_until, world_with_disc  # noqa: E402
 from operator_served import Served, State  # noqa: E402
 from operator_site import IDENTITY, served, striped_jpeg  # noqa: E402
 from sph_stab_ros.operator import recorder as recorder_module  # noqa: E402
-from sph_stab_ros.operator.operated_robot import RobotError  # noqa: E402
 from sph_stab_ros.operator.pairing import Orientation, Picture  # noqa: E402
 from sph_stab_ros.operator.recorder import MAX_WAITING, Recorder  # noqa: E402
+from sph_stab_ros.operator.robot_interface import RobotError  # noqa: E402
 
 T0_NS = 10**18
 Usage = namedtuple('Usage', 'free')

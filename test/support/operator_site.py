@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 import pytest
 from sph_stab_ros.operator.access import Access
-from sph_stab_ros.operator.operated_robot import RobotError
 from sph_stab_ros.operator.pairing import Picture
 from sph_stab_ros.operator.recorder import Recorder
+from sph_stab_ros.operator.robot_interface import RobotError
 from sph_stab_ros.operator.server import OperatorServer
 
 TIMEOUT_S = 20.

@@ -23,8 +23,8 @@ import sys
 from scipy.spatial.transform import Rotation
 from sph_stab_ros.config import ANCHORED, METHODS, StabilizerConfig, TrackerConfig
 from sph_stab_ros.evaluation.alignment import Alignment
-from sph_stab_ros.evaluation.errors import compare
 from sph_stab_ros.evaluation.ground_truth import find_truth_topic, read_truth
+from sph_stab_ros.evaluation.orientation_errors import compare
 from sph_stab_ros.evaluation.runs import evaluate_injected, Run
 from sph_stab_ros.geometry.conventions import R_BODY_CAMERA
 from sph_stab_ros.recording import open_recording

@@ -24,10 +24,10 @@ import warnings
 from ruamel.yaml import YAML
 
 from sph_stab_ros.recording.base import RecordingError
-from sph_stab_ros.recording.containers.copies import Copies
 from sph_stab_ros.recording.containers.kinds import kind_of, refuse_if_known
 from sph_stab_ros.recording.containers.limits import Damage
 from sph_stab_ros.recording.containers.records import Channel, Message, Part
+from sph_stab_ros.recording.containers.temporary_copies import Copies
 
 __all__ = ['Channel', 'Containers', 'is_bag', 'Message']
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from sph_stab_ros.evaluation.page_tables import BLOCK, filled, main, TABLES
+from sph_stab_ros.evaluation.docs_tables import BLOCK, filled, main, TABLES
 from sph_stab_ros.recording import RecordingError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -171,7 +171,7 @@ def test_every_table_of_a_page_is_a_known_one_and_some_target_fills_it_in(page):
     blocks = BLOCK.findall((ROOT / page).read_text())
     assert {kind for _, kind, _, _ in blocks} <= TABLES.keys()
     filling = [line for line in (ROOT / 'Makefile').read_text().splitlines()
-               if 'PAGE_TABLES)' in line and page in line.split()]
+               if 'DOCS_TABLES)' in line and page in line.split()]
     assert filling
 
 

@@ -60,7 +60,7 @@ def markdown(head: Row, body: Iterable[Row]) -> str:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit status."""
-    parser = Parser(prog='python3 -m sph_stab_ros.evaluation.page_tables',
+    parser = Parser(prog='python3 -m sph_stab_ros.evaluation.docs_tables',
                     description='Write tables of what was measured into the pages that show them.')
     parser.add_argument('folder', metavar='FOLDER', type=Path, help='where the results are')
     parser.add_argument('pages', metavar='PAGE', type=Path, nargs='+', help='Markdown to fill in')
@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             with partial_output(page, force=True) as partial:
                 partial.write_text(text)
 
-    return run('page_tables', command)
+    return run('docs_tables', command)
 
 
 if __name__ == '__main__':
