@@ -183,6 +183,9 @@ def demonstrate(path: Path, folder: Path, seconds: float, forever: bool) -> None
             raise RecordingError(f'{path} could not be played, see above')
         if not listener.orientations:
             raise RecordingError('the node has not published any orientation')
+        if not forever:
+            # The node would tell for as long as nothing comes any more.
+            stack.close()
         write_results(recording, truth, listener, folder)
         if forever and not ending:
             print('demo: playing on until Ctrl-C', flush=True)
