@@ -37,7 +37,7 @@ demo: setup  ## Look around in bags/drone by browser; leaves a video and a plot 
 PYTEST := -m pytest -n 3 --dist loadgroup --max-worker-restart 0
 FAST := not slow and not thorough and not ros and not browser
 
-test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in three minutes
+test-fast: setup  ## Run the tests that need no ROS, no browser and little time, in two minutes
 	$(PY) $(PYTEST) -m '$(FAST)'
 
 test: setup  ## Run all tests but the slow ones, in nine minutes

@@ -37,13 +37,16 @@ MARKED = {
             'operator/test_operator_link_status.py', 'operator/test_operator_robot.py'),
     'thorough': (
         # Whole commands, many runs, films.
-        'batch', 'command_line/test_names_and_texts.py', 'command_line/test_out_of_memory.py',
-        'evaluation', 'fuzz', 'live', 'recording/test_cube_video.py', 'recording/test_sound.py',
+        'batch', 'benchmark', 'command_line/test_interruption.py',
+        'command_line/test_names_and_texts.py', 'command_line/test_out_of_memory.py',
+        'evaluation', 'fuzz', 'live', 'recording/test_cube_video.py',
+        'recording/test_damaged_bags.py', 'recording/test_sound.py',
         'recording/test_stereo_video.py', 'simulation', 'test_calibrate.py', 'test_evaluate.py',
-        'test_film.py', 'test_replay.py', 'tracking/test_accuracy.py',
-        'tracking/test_consistency.py',
+        'test_examples.py', 'test_film.py', 'test_replay.py', 'test_replay_parameters.py',
+        'test_replay_telemetry.py', 'tracking/test_accuracy.py', 'tracking/test_consistency.py',
         # The whole repository.
-        'test_docs.py', 'test_package.py', 'test_readme.py', 'test_style.py', 'test_types.py'),
+        'test_architecture.py', 'test_docs.py', 'test_package.py', 'test_readme.py',
+        'test_style.py', 'test_types.py'),
 }
 
 

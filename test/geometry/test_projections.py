@@ -31,7 +31,11 @@ from sph_stab_ros.stabilization.pipeline import Stabilizer
 from sph_stab_ros.tracking import make_tracker
 from synthetic import angle_deg, textured_sphere, unit
 
-EACH = pytest.mark.parametrize('name', PICTURES)
+# Of these others of their kind are among the tests that take little time.
+ALIKE = ('cube 6x1', 'cube 1x6', 'cube 4x3', 'cube, other order', 'equi-angular 16:9',
+         'GoPro Max 3K', 'fisheye 280', 'near at the border', 'one above the other')
+EACH = pytest.mark.parametrize('name', [
+    pytest.param(name, marks=pytest.mark.thorough if name in ALIKE else ()) for name in PICTURES])
 MAX_ROUND_TRIP_DEG = 0.02
 MIN_PSNR_DB = 35.
 # Along axes, across edges and into corners of cubes, around poles and the seam, and anywhere.
@@ -120,6 +124,7 @@ def photo(shared_data):
     return np.ascontiguousarray(wide[:, 32:-32])
 
 
+@pytest.mark.thorough
 @EACH
 def test_views_are_those_of_the_sphere(name, photo):
     """Of pictures as fine as the sphere, turned and not: a picture turns with its camera."""

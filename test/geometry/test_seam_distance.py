@@ -9,6 +9,7 @@
 """What is near meets at the border of two lenses that lie apart, at the distance they are told."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -38,13 +39,18 @@ def projection(seam_distance_m):
         projection=DUAL_FISHEYE, fisheye=replace(LENSES, seam_distance_m=seam_distance_m)))
 
 
+@lru_cache(maxsize=1)
+def world():
+    """Return what is on the wall."""
+    return textured_sphere(2048)
+
+
 def picture_of_room(distance_m):
     """
     Return what two lenses, BASELINE_M apart, see of a round room, by rays out of their centres.
 
     The room is so large in radius around the middle between them; black beyond their circles.
     """
-    world = textured_sphere(2048)
     uv = np.stack(np.meshgrid(*map(np.arange, SIZE_WH)), axis=-1).astype(float)
     picture = np.zeros(SIZE_WH[::-1], np.uint8)
     far = projection(0.)
@@ -60,7 +66,7 @@ def picture_of_room(distance_m):
             slope = np.sum(points_m * rays, axis=-1) / np.linalg.norm(points_m, axis=-1)
             length_m -= off_m / slope
         points_m = center_m + length_m[..., None] * rays
-        seen = Equirect(2048).read(world, *np.float32(np.moveaxis(points_m, -1, 0)))
+        seen = Equirect(2048).read(world(), *np.float32(np.moveaxis(points_m, -1, 0)))
         circle = (rays @ axis > np.cos(np.deg2rad(FOV_DEG / 2))) & (
             (uv[..., 0] < SIZE_WH[0] / 2) == (side == 0))
         picture[circle] = seen[circle]

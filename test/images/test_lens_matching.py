@@ -24,7 +24,7 @@ from sph_stab_ros.images.lens_matching import FOLLOWING_S, LensMatcher
 from sph_stab_ros.stabilization.pipeline import Stabilizer
 from tiny_recordings import textured_sphere
 
-TWO_CIRCLES = ['side by side', 'one above the other']
+TWO_CIRCLES = ['side by side', pytest.param('one above the other', marks=pytest.mark.thorough)]
 WANTED = FisheyeConfig(match_lenses=True)
 # Of rear over front, in blue, green and red: half as bright, and yellower.
 GAINS = 0.55, 0.7, 0.8

@@ -47,7 +47,8 @@ def differences_px(one, other, width):
 
 @every_estimator
 @pytest.mark.parametrize('width, finer', (
-    (320, 480), (480, 640), pytest.param(640, 960, marks=pytest.mark.slow)))
+    (320, 480), pytest.param(480, 640, marks=pytest.mark.thorough),
+    pytest.param(640, 960, marks=pytest.mark.slow)))
 def test_the_width_of_the_picture_does_not_matter(estimator, width, finer, images):
     found, expected = turns(estimator, images, width), turns(estimator, images, finer)
     assert differences_px(found, expected, width).max() < MAX_DIFFERENCE_PX

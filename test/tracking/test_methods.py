@@ -111,6 +111,7 @@ def reduced(image):
     return cv2.resize(image, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_AREA)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('method', ('pts', 'moment'))
 @pytest.mark.parametrize('rotation_deg', (
     pytest.param(0.2, marks=pytest.mark.slow), 1., pytest.param(5., marks=pytest.mark.slow)))
@@ -126,6 +127,7 @@ def test_real_photos_turned_are_recovered(shared_data, method, rotation_deg):
         assert angle_deg(found.R_current_previous, R) < 0.05
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize('rotation_deg', (pytest.param(0.2, marks=pytest.mark.slow), 5.))
 def test_real_photos_turned_have_no_parallax(shared_data, rotation_deg):
     rng = np.random.default_rng(0)
@@ -143,6 +145,7 @@ def test_real_photos_turned_have_no_parallax(shared_data, rotation_deg):
 STEREO_DEG = {'hall': (-0.03, 0.08, 0.03), 'room': (-0.01, 0.01, -0.05), 'stairs': (0, 0.3, 0)}
 
 
+@pytest.mark.thorough
 @every_method
 @pytest.mark.parametrize('scene', (
     'hall', *(pytest.param(scene, marks=pytest.mark.slow) for scene in ('room', 'stairs'))))
