@@ -8,6 +8,7 @@
 
 """Laws of the inverse warp."""
 
+import gc
 import multiprocessing
 import warnings
 
@@ -102,9 +103,12 @@ def test_a_forked_process_has_threads_of_its_own():
         with warnings.catch_warnings():
             # Of what can go wrong with others' threads.
             warnings.simplefilter('ignore', DeprecationWarning)
+            # Nothing of here may be collected there: decoders would wait for their threads.
+            gc.freeze()
             forked.start()
         forked.join(60)
     finally:
+        gc.unfreeze()
         cv2.setNumThreads(threads_before)
         forked.kill()
     assert forked.exitcode == 0
